@@ -1,0 +1,1 @@
+"""Adapters of published methods, one module per method; they know :mod:`pytest_cpas.types` alone."""

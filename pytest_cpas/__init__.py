@@ -1,0 +1,1 @@
+"""A conformance and regression harness for RGB-D categorical pose and shape methods."""

@@ -1,0 +1,1 @@
+"""One module per data set; all yield :class:`pytest_cpas.types.Sample`."""

@@ -1,0 +1,1 @@
+"""pytest options and hooks; imports nothing heavy."""
