@@ -13,6 +13,7 @@ expected and what to look for in an adapter.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -374,8 +375,7 @@ def _extents(value: ArrayLike) -> Array:
 class SampleRef:
     """An entry of a data set's index; no image is opened to make one.
 
-    ``id`` is unique in the data set, stable, and sorts like the data set does; ``scene`` groups
-    samples that belong together.
+    ``id`` is unique in the data set and stable; ``scene`` groups samples that belong together.
     """
 
     id: str
@@ -513,6 +513,11 @@ class MethodInfo:
                 )
         if not self.categories:
             raise ContractError(f"method {self.name!r}: it declares no categories")
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.name):
+            raise ContractError(
+                f"method {self.name!r}: a name becomes a folder of golden tables; expected letters,"
+                " digits, '.', '_' and '-'"
+            )
 
 
 @runtime_checkable
@@ -532,14 +537,16 @@ class Method(Protocol):
 class Dataset(Protocol):
     """A data set. Made with the folder of ``--cpas-data`` (None if none was given).
 
-    ``samples`` is sorted by id and made without opening an image. ``digest`` identifies the
-    ground truth that it lists. ``problems``: what is missing or unusable, one line each.
+    ``samples`` is in a stable order and made without opening an image. ``digest`` identifies the
+    content that the samples are judged by. ``missing``: what a partial copy lacks, one line each.
+    ``damaged``: what could not even be listed, one line each; the run fails over it.
     """
 
     name: str
     samples: Sequence[SampleRef]
     digest: str
-    problems: Sequence[str]
+    missing: Sequence[str]
+    damaged: Sequence[str]
 
     def load(self, ref: SampleRef) -> Sample:
         """Read one sample. Raises :class:`ContractError` naming the file that is damaged."""

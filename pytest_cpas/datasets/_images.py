@@ -1,0 +1,48 @@
+"""Reading images; every damage ends in a :class:`ContractError` that names the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pytest_cpas.types import ContractError
+
+
+def _read(path: Path, modes: tuple[str, ...], what: str) -> NDArray[np.generic]:
+    try:
+        with Image.open(path) as image:
+            if image.mode not in modes:
+                raise ContractError(
+                    f"{path}: image mode is {image.mode}, expected {' or '.join(modes)} ({what})"
+                )
+            return np.asarray(image)
+    except FileNotFoundError:
+        raise ContractError(f"{path}: no such file") from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, ContractError):
+            raise
+        raise ContractError(
+            f"{path}: not a readable image ({error}); it is damaged or truncated, fetch it again"
+        ) from error
+
+
+def read_rgb(path: Path) -> NDArray[np.float32]:
+    """8-bit colour as (H, W, 3) float32 in 0..1."""
+    image = _read(path, ("RGB", "RGBA"), "8-bit colour")
+    return image[:, :, :3].astype(np.float32) / np.float32(255)
+
+
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """16-bit millimetres as (H, W) float32 metres, 0 = missing."""
+    image = _read(path, ("I;16", "I;16B"), "16-bit depth in millimetres")
+    return image.astype(np.float32) / np.float32(1000)
+
+
+def read_ids(path: Path) -> NDArray[np.uint8]:
+    """8-bit instance ids (H, W); of a colour image the first channel (CAMERA25)."""
+    image = _read(path, ("L", "P", "RGB", "RGBA"), "8-bit instance ids")
+    ids: NDArray[np.uint8] = (image if image.ndim == 2 else image[:, :, 0]).astype(np.uint8)
+    return ids

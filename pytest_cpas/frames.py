@@ -1,0 +1,47 @@
+"""Changes of axes, in one place; adapters declare their frames and the harness converts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo, Prediction
+
+#: ShapeNet object coordinates -> NOCS object coordinates: y stays, NOCS x is ShapeNet -z
+#: (the quaternion (0, -1/sqrt 2, 0, 1/sqrt 2), scalar last).
+NOCS_FROM_SHAPENET = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+NOCS_FROM_SHAPENET.setflags(write=False)
+
+#: OpenGL camera coordinates (y up, looking along -z) -> OpenCV ones (y down, looking along +z).
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
+OPENCV_FROM_OPENGL.setflags(write=False)
+
+
+def permute_extents(extents: Array, axes: Array) -> Array:
+    """Extents (3,) of a box after a change of axes by a signed permutation matrix (3, 3)."""
+    permuted: Array = np.abs(axes) @ extents
+    return permuted
+
+
+def to_standard(prediction: Prediction, info: MethodInfo) -> Prediction:
+    """Express a prediction in the OpenCV camera frame and the ShapeNet object frame."""
+    camera = OPENCV_FROM_OPENGL if info.camera_frame == "opengl" else np.eye(3)
+    # maps ShapeNet object coordinates to the method's
+    axes = NOCS_FROM_SHAPENET if info.object_frame == "nocs" else np.eye(3)
+    return dataclasses.replace(
+        prediction,
+        hypotheses=tuple(_convert(h, camera, axes) for h in prediction.hypotheses),
+    )
+
+
+def _convert(hypothesis: Hypothesis, camera: Array, axes: Array) -> Hypothesis:
+    extents, points, mesh = hypothesis.extents, hypothesis.points, hypothesis.mesh
+    return dataclasses.replace(
+        hypothesis,
+        rotation=camera @ hypothesis.rotation @ axes,
+        translation=camera @ hypothesis.translation,
+        extents=None if extents is None else permute_extents(extents, axes.T),
+        points=None if points is None else points @ axes,
+        mesh=None if mesh is None else Mesh(mesh.vertices @ axes, mesh.triangles),
+    )
