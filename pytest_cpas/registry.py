@@ -1,0 +1,63 @@
+"""Finding methods and data sets by name; only what is asked for is imported."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
+
+Kind = Literal["method", "dataset"]
+
+_WORDS = {"method": "method", "dataset": "data set"}
+
+
+class RegistryError(Exception):
+    """A name that cannot be turned into a method or a data set."""
+
+
+def registered(kind: Kind) -> list[EntryPoint]:
+    """The entry points of a kind, sorted by name; none of them is imported."""
+    return sorted(entry_points(group=f"pytest_cpas.{kind}s"), key=lambda entry: entry.name)
+
+
+def resolve(kind: Kind, name: str) -> Any:
+    """The class registered as ``name``, or named as ``package.module:Class``.
+
+    Raises :class:`RegistryError` for an unknown name, an ambiguous one, or an import that fails;
+    for a registered name it says which distribution is to blame.
+    """
+    if ":" in name:
+        module, _, attribute = name.partition(":")
+        return _load(kind, name, module, attribute, "")
+    entries = [entry for entry in registered(kind) if entry.name == name]
+    if not entries:
+        known = [entry.name for entry in registered(kind)]
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise RegistryError(
+            f"unknown {_WORDS[kind]} {name!r}.{hint} Registered: {', '.join(known) or 'none'}"
+            " (pytest --cpas-list); a class of your own is named package.module:Class"
+        )
+    if len({entry.value for entry in entries}) > 1:
+        owners = ", ".join(f"{_owner(entry)} ({entry.value})" for entry in entries)
+        raise RegistryError(
+            f"{_WORDS[kind]} {name!r} is registered by several distributions: {owners}."
+            " Uninstall one, or name the class itself as package.module:Class"
+        )
+    entry = entries[0]
+    return _load(kind, name, entry.module, entry.attr, f", registered by {_owner(entry)}")
+
+
+def _owner(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unknown distribution"
+
+
+def _load(kind: Kind, name: str, module: str, attribute: str, blame: str) -> Any:
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except Exception as error:  # importing foreign code can raise anything
+        raise RegistryError(
+            f"{_WORDS[kind]} {name!r}{blame}: {module}:{attribute} cannot be imported"
+            f" ({type(error).__name__}: {error})"
+        ) from error
