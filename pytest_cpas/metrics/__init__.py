@@ -1,5 +1,20 @@
 """Metrics: pure functions on arrays, usable without pytest, data sets or methods."""
 
+from pytest_cpas.metrics.precision import (
+    FAILED,
+    METRICS,
+    PAPER_THRESHOLDS,
+    Count,
+    Errors,
+    JointThreshold,
+    best_and_worst,
+    count,
+    count_by_category,
+    curve,
+    iou_auc,
+    mean_over_categories,
+    pose_vus,
+)
 from pytest_cpas.metrics.surfaces import (
     Surface,
     SurfaceErrors,
@@ -9,9 +24,22 @@ from pytest_cpas.metrics.surfaces import (
 )
 
 __all__ = [
+    "FAILED",
+    "METRICS",
+    "PAPER_THRESHOLDS",
+    "Count",
+    "Errors",
+    "JointThreshold",
     "Surface",
     "SurfaceErrors",
+    "best_and_worst",
+    "count",
+    "count_by_category",
+    "curve",
     "diameter",
+    "iou_auc",
+    "mean_over_categories",
+    "pose_vus",
     "sample_surface",
     "surface_errors",
 ]
