@@ -1,5 +1,6 @@
 """Metrics: pure functions on arrays, usable without pytest, data sets or methods."""
 
+from pytest_cpas.metrics.average_precision import POSE_MATCH_IOU, AveragePrecision, Detections
 from pytest_cpas.metrics.precision import (
     FAILED,
     METRICS,
@@ -27,7 +28,10 @@ __all__ = [
     "FAILED",
     "METRICS",
     "PAPER_THRESHOLDS",
+    "POSE_MATCH_IOU",
+    "AveragePrecision",
     "Count",
+    "Detections",
     "Errors",
     "JointThreshold",
     "Surface",

@@ -1,0 +1,199 @@
+"""Average precision of detections by the NOCS protocol (Wang et al. 2019, "mAP").
+
+Per category over all images: predictions by descending score; each is matched to the free ground
+truth of its image and category that fits best, if it fits well enough; AP is the area under the
+interpolated precision-recall curve; mAP is the mean over the categories.
+
+Everything works on candidate pairs (prediction, ground truth of the same image and category), so
+that any IoU and any pose error can be ranked. Ties never depend on the order of the input:
+predictions with equal scores enter the curve together, and in an image the better fit goes first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pytest_cpas.types import ContractError
+
+__all__ = ["POSE_MATCH_IOU", "AveragePrecision", "Detections"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: IoU at which "use matches for pose" pairs predictions with ground truth.
+POSE_MATCH_IOU = 0.1
+
+
+@dataclass(frozen=True)
+class AveragePrecision:
+    """AP of each category (None: it has no ground truth) and their mean."""
+
+    by_category: dict[int, float | None]
+
+    @property
+    def mean(self) -> float | None:
+        """mAP: mean over the categories that have ground truth; None (n/a) if none has."""
+        present = [value for value in self.by_category.values() if value is not None]
+        return float(np.mean(present)) if present else None
+
+
+class Detections:
+    """Predictions and ground truth of a data set, and the pairs that can match.
+
+    ``pred_image``, ``pred_category``, ``pred_score`` (P,) and ``true_image``, ``true_category``
+    (G,). ``pairs`` (K, 2) holds all (prediction, ground truth) indices of equal image and
+    category; errors are given in its order. ``categories``: those that are judged.
+    """
+
+    def __init__(
+        self,
+        pred_image: ArrayLike,
+        pred_category: ArrayLike,
+        pred_score: ArrayLike,
+        true_image: ArrayLike,
+        true_category: ArrayLike,
+        categories: Sequence[int],
+    ) -> None:
+        self.scores = np.asarray(pred_score, dtype=np.float64)
+        self.pred_category = np.asarray(pred_category)
+        self.true_category = np.asarray(true_category)
+        self.categories = tuple(categories)
+        images = np.asarray(pred_image), np.asarray(true_image)
+        for what, expected, arrays in (
+            ("predictions", len(self.scores), (images[0], self.pred_category)),
+            ("ground truth", len(self.true_category), (images[1],)),
+        ):
+            if any(array.shape != (expected,) for array in arrays):
+                raise ContractError(
+                    f"detections: the arrays of the {what} have shapes"
+                    f" {[array.shape for array in arrays]}, expected ({expected},)"
+                )
+        if not np.isfinite(self.scores).all():
+            raise ContractError("detections: a score is NaN or infinite; AP needs a ranking")
+        keys = [
+            np.stack([image, category], axis=1)
+            for image, category in zip(
+                images, (self.pred_category, self.true_category), strict=True
+            )
+        ]
+        _, group = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
+        self.pairs = _equal_pairs(group[: len(self.scores)], group[len(self.scores) :])
+
+    def iou_ap(self, iou: ArrayLike, threshold: float) -> AveragePrecision:
+        """AP at an IoU threshold. ``iou`` (K,) of the pairs; a match is **above** the threshold."""
+        iou = self._per_pair(iou, "iou")
+        matched, _ = self._match(-iou, iou > threshold)
+        return self._curve_area(matched, np.ones(len(self.scores), dtype=bool), self.true_category)
+
+    def pose_ap(
+        self,
+        rotation_deg: ArrayLike,
+        position_m: ArrayLike,
+        max_rotation_deg: float,
+        max_position_m: float,
+        *,
+        match_iou: ArrayLike | None = None,
+    ) -> AveragePrecision:
+        """AP at a joint pose threshold, met by errors up to and including both limits.
+
+        ``rotation_deg``, ``position_m`` (K,) of the pairs; matched is what has the least sum of
+        degrees and centimetres. ``match_iou`` (K,) switches to "use matches for pose", which the
+        literature prints: only predictions and ground truth matched at IoU 0.1 take part.
+        """
+        rotation = self._per_pair(rotation_deg, "rotation_deg")
+        position = self._per_pair(position_m, "position_m")
+        cost = rotation + 100 * position
+        near = (rotation <= max_rotation_deg) & (position <= max_position_m)
+        taking_part = np.ones(len(self.scores), dtype=bool)
+        counted = np.ones(len(self.true_category), dtype=bool)
+        if match_iou is not None:
+            iou = self._per_pair(match_iou, "match_iou")
+            taking_part, counted = self._match(-iou, iou > POSE_MATCH_IOU)
+            near &= taking_part[self.pairs[:, 0]] & counted[self.pairs[:, 1]]
+        matched, _ = self._match(cost, near)
+        return self._curve_area(matched, taking_part, self.true_category[counted])
+
+    def _per_pair(self, value: ArrayLike, name: str) -> Array:
+        values = np.asarray(value, dtype=np.float64)
+        if values.shape != (len(self.pairs),) or np.isnan(values).any():
+            raise ContractError(
+                f"{name}: shape {values.shape}, expected ({len(self.pairs)},) numbers without NaN,"
+                " one for each of the pairs"
+            )
+        return values
+
+    def _match(
+        self, cost: Array, allowed: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which predictions and which ground truth are matched, greedily by descending score.
+
+        Every prediction takes the free ground truth of least ``cost`` among the ``allowed`` pairs.
+        """
+        pred, true = self.pairs[allowed].T
+        cost = cost[allowed]
+        least = np.full(len(self.scores), np.inf)
+        np.minimum.at(least, pred, cost)
+        order = np.lexsort((true, cost, pred, least[pred], -self.scores[pred]))
+        pred, true = pred[order], true[order]
+        pred_matched = np.zeros(len(self.scores), dtype=bool)
+        true_matched = np.zeros(len(self.true_category), dtype=bool)
+        # A pair is settled once nothing before it can take its ground truth or its prediction:
+        # in each round, the pairs that are first both for their prediction and ground truth.
+        while len(pred):
+            ranks = np.arange(len(pred))
+            first_of_pred = np.full(len(pred_matched), len(pred))
+            np.minimum.at(first_of_pred, pred, ranks)
+            first_of_true = np.full(len(true_matched), len(pred))
+            np.minimum.at(first_of_true, true, ranks)
+            settled = (first_of_pred[pred] == ranks) & (first_of_true[true] == ranks)
+            pred_matched[pred[settled]] = True
+            true_matched[true[settled]] = True
+            open_pairs = ~pred_matched[pred] & ~true_matched[true]
+            pred, true = pred[open_pairs], true[open_pairs]
+        return pred_matched, true_matched
+
+    def _curve_area(
+        self,
+        matched: NDArray[np.bool_],
+        taking_part: NDArray[np.bool_],
+        counted_categories: NDArray[np.generic],
+    ) -> AveragePrecision:
+        areas: dict[int, float | None] = {}
+        for category in self.categories:
+            if not np.any(self.true_category == category):
+                areas[category] = None
+                continue
+            chosen = taking_part & (self.pred_category == category)
+            truths = int(np.count_nonzero(counted_categories == category))
+            areas[category] = _interpolated_area(self.scores[chosen], matched[chosen], truths)
+        return AveragePrecision(areas)
+
+
+def _equal_pairs(left: Indices, right: Indices) -> Indices:
+    """All (i, j) with ``left[i] == right[j]``, as (K, 2), in the order of i, then j."""
+    order = np.argsort(right, kind="stable")
+    start = np.searchsorted(right[order], left, side="left")
+    stop = np.searchsorted(right[order], left, side="right")
+    lengths = stop - start
+    i = np.repeat(np.arange(len(left)), lengths)
+    within = np.arange(len(i)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return np.stack([i, order[start[i] + within]], axis=1)
+
+
+def _interpolated_area(scores: Array, correct: NDArray[np.bool_], truths: int) -> float:
+    """Area under the interpolated precision-recall curve; 0 if nothing is correct."""
+    order = np.argsort(-scores, kind="stable")
+    hits = np.cumsum(correct[order])
+    if truths == 0 or len(hits) == 0 or hits[-1] == 0:
+        return 0.0
+    ranked = scores[order]
+    last_of_tie = np.append(ranked[1:] != ranked[:-1], True)
+    hits = hits[last_of_tie]
+    precision = hits / (np.flatnonzero(last_of_tie) + 1)
+    # the precision at a recall is the best at that recall or any larger one
+    envelope = np.maximum.accumulate(precision[::-1])[::-1]
+    return float(np.sum(np.diff(hits, prepend=0) * envelope) / truths)
