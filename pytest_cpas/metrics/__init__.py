@@ -1,6 +1,12 @@
 """Metrics: pure functions on arrays, usable without pytest, data sets or methods."""
 
 from pytest_cpas.metrics.average_precision import POSE_MATCH_IOU, AveragePrecision, Detections
+from pytest_cpas.metrics.definitions import (
+    DEFINITIONS,
+    Definition,
+    definition,
+    require_same_definition,
+)
 from pytest_cpas.metrics.precision import (
     FAILED,
     METRICS,
@@ -25,12 +31,14 @@ from pytest_cpas.metrics.surfaces import (
 )
 
 __all__ = [
+    "DEFINITIONS",
     "FAILED",
     "METRICS",
     "PAPER_THRESHOLDS",
     "POSE_MATCH_IOU",
     "AveragePrecision",
     "Count",
+    "Definition",
     "Detections",
     "Errors",
     "JointThreshold",
@@ -40,10 +48,12 @@ __all__ = [
     "count",
     "count_by_category",
     "curve",
+    "definition",
     "diameter",
     "iou_auc",
     "mean_over_categories",
     "pose_vus",
+    "require_same_definition",
     "sample_surface",
     "surface_errors",
 ]

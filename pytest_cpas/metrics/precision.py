@@ -100,9 +100,9 @@ class JointThreshold:
             for name, limit in self.limits.items()
         )
 
-    def is_correct(self, row: Row) -> bool | None:
+    def is_correct(self, **errors: float | None) -> bool | None:
         """Whether one sample's errors meet all limits; None (n/a) if one cannot be judged."""
-        judged = count(Errors.from_rows([row]), self)
+        judged = count(Errors.from_rows([errors]), self)
         return None if judged is None else judged.correct == 1
 
 
