@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo, Prediction
+from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo
 
 #: ShapeNet object coordinates -> NOCS object coordinates: y stays, NOCS x is ShapeNet -z
 #: (the quaternion (0, -1/sqrt 2, 0, 1/sqrt 2), scalar last).
@@ -24,18 +24,13 @@ def permute_extents(extents: Array, axes: Array) -> Array:
     return permuted
 
 
-def to_standard(prediction: Prediction, info: MethodInfo) -> Prediction:
-    """Express a prediction in the OpenCV camera frame and the ShapeNet object frame."""
+def to_standard(hypothesis: Hypothesis, info: MethodInfo) -> Hypothesis:
+    """Express a hypothesis in the OpenCV camera frame and the ShapeNet object frame."""
+    if (info.camera_frame, info.object_frame) == ("opencv", "shapenet"):
+        return hypothesis
     camera = OPENCV_FROM_OPENGL if info.camera_frame == "opengl" else np.eye(3)
     # maps ShapeNet object coordinates to the method's
     axes = NOCS_FROM_SHAPENET if info.object_frame == "nocs" else np.eye(3)
-    return dataclasses.replace(
-        prediction,
-        hypotheses=tuple(_convert(h, camera, axes) for h in prediction.hypotheses),
-    )
-
-
-def _convert(hypothesis: Hypothesis, camera: Array, axes: Array) -> Hypothesis:
     extents, points, mesh = hypothesis.extents, hypothesis.points, hypothesis.mesh
     return dataclasses.replace(
         hypothesis,

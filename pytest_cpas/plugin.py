@@ -1,1 +1,133 @@
-"""pytest options and hooks; imports nothing heavy."""
+"""pytest options and the hooks that must exist before anything is known about a run.
+
+Everything else is in :mod:`pytest_cpas.session`, which is imported only when an option of ours
+is given: people install this plugin beside unrelated projects.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the ``--cpas-*`` options."""
+    group = parser.getgroup("cpas", "categorical pose and shape")
+    group.addoption(
+        "--cpas-method",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="method to run: a registered name or package.module:Class (repeatable)",
+    )
+    group.addoption(
+        "--cpas-dataset",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="data set to run on: a registered name or package.module:Class (repeatable)",
+    )
+    group.addoption(
+        "--cpas-predictions",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="judge stored predictions: a pickle, a folder of pickles, or an .npz (repeatable)",
+    )
+    group.addoption(
+        "--cpas-data",
+        metavar="DIR",
+        default=os.environ.get("CPAS_DATA"),
+        help="folder that holds the data sets (default: environment variable CPAS_DATA)",
+    )
+    group.addoption(
+        "--cpas-weights",
+        metavar="DIR",
+        default=os.environ.get("CPAS_WEIGHTS"),
+        help="folder that holds the methods' weights (default: environment variable CPAS_WEIGHTS)",
+    )
+    group.addoption(
+        "--cpas-device", metavar="DEVICE", default="cpu", help="device of the method (default: cpu)"
+    )
+    group.addoption(
+        "--cpas-seed", metavar="N", type=int, default=0, help="seed of the method (default: 0)"
+    )
+    group.addoption(
+        "--cpas-category",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="judge only the samples of this category (repeatable)",
+    )
+    group.addoption(
+        "--cpas-limit",
+        metavar="N",
+        type=int,
+        help="judge only N samples of each data set, evenly spaced",
+    )
+    group.addoption(
+        "--cpas-granularity",
+        choices=("sample", "scene", "dataset"),
+        default="sample",
+        help="how many samples one test item judges (default: sample)",
+    )
+    group.addoption(
+        "--cpas-golden",
+        metavar="DIR",
+        help="folder of golden tables (default: ini cpas_golden, else golden/ in the root"
+        " directory); those that ship with the plugin are read after it",
+    )
+    group.addoption(
+        "--cpas-require-golden",
+        action="store_true",
+        help="fail when a golden table is missing or was compared with a part of its samples only",
+    )
+    group.addoption(
+        "--cpas-list",
+        action="store_true",
+        help="print the registered methods and data sets, without importing them, and exit",
+    )
+    parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
+
+
+def pytest_cmdline_main(config: pytest.Config) -> int | None:
+    """``--cpas-list`` prints and ends."""
+    if not config.option.cpas_list:
+        return None
+    from pytest_cpas.registry import KINDS, registered
+
+    for kind, words in KINDS.items():
+        print(f"{words}s:")
+        for entry in registered(kind):
+            owner = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown"
+            print(f"  {entry.name:24} {entry.value}  ({owner})")
+    return 0
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Resolve what is asked for before collection, so that a mistake is a usage error."""
+    options = config.option
+    asked = options.cpas_method or options.cpas_dataset or options.cpas_predictions
+    if not asked or options.help or options.version:
+        return
+    from pytest_cpas.session import CpasSession
+
+    config.pluginmanager.register(CpasSession(config), "cpas-session")
+
+
+def golden_folder(config: pytest.Config) -> Path:
+    """Where golden tables are read first and written.
+
+    The default is in the root directory if that is the project's. Without a configuration file
+    pytest may take the folder behind ``--cpas-data DIR`` for it, so then it is where pytest was
+    started.
+    """
+    here = config.invocation_params.dir
+    named: str | None = config.option.cpas_golden
+    if named:
+        return here / named
+    is_project = config.inipath is not None and here.is_relative_to(config.rootpath)
+    return (config.rootpath if is_project else here) / str(config.getini("cpas_golden") or "golden")

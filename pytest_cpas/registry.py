@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 Kind = Literal["method", "dataset"]
 
-_WORDS = {"method": "method", "dataset": "data set"}
+#: What can be registered, in words.
+KINDS: dict[Kind, str] = {"method": "method", "dataset": "data set"}
 
 
 class RegistryError(Exception):
@@ -36,13 +37,13 @@ def resolve(kind: Kind, name: str) -> Any:
         close = difflib.get_close_matches(name, known, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
         raise RegistryError(
-            f"unknown {_WORDS[kind]} {name!r}.{hint} Registered: {', '.join(known) or 'none'}"
+            f"unknown {KINDS[kind]} {name!r}.{hint} Registered: {', '.join(known) or 'none'}"
             " (pytest --cpas-list); a class of your own is named package.module:Class"
         )
     if len({entry.value for entry in entries}) > 1:
         owners = ", ".join(f"{_owner(entry)} ({entry.value})" for entry in entries)
         raise RegistryError(
-            f"{_WORDS[kind]} {name!r} is registered by several distributions: {owners}."
+            f"{KINDS[kind]} {name!r} is registered by several distributions: {owners}."
             " Uninstall one, or name the class itself as package.module:Class"
         )
     entry = entries[0]
@@ -58,6 +59,6 @@ def _load(kind: Kind, name: str, module: str, attribute: str, blame: str) -> Any
         return getattr(importlib.import_module(module), attribute)
     except Exception as error:  # importing foreign code can raise anything
         raise RegistryError(
-            f"{_WORDS[kind]} {name!r}{blame}: {module}:{attribute} cannot be imported"
+            f"{KINDS[kind]} {name!r}{blame}: {module}:{attribute} cannot be imported"
             f" ({type(error).__name__}: {error})"
         ) from error

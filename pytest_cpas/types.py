@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 #: The categories of the paper, in the order that the field's class ids 1..6 give them.
 CATEGORIES = ("bottle", "bowl", "camera", "can", "laptop", "mug")
 
+_IDENTITY = np.eye(3)
+
 #: Largest entry of ``R @ R.T - I`` that still counts as a rotation (float32 networks reach 1e-6).
 ORTHONORMAL_TOLERANCE = 1e-4
 
@@ -60,13 +62,14 @@ def _frozen(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Array
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ContractError(f"{what}: not an array of numbers ({error})") from None
-    if array.ndim != len(shape) or any(
-        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want not in (None, have) for have, want in zip(array.shape, shape, strict=True))
     ):
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ")"
         raise ContractError(f"{what}: shape is {array.shape}, expected {wanted}")
-    bad = int(np.count_nonzero(~np.isfinite(array)))
-    if bad:
+    if not np.isfinite(array).all():
+        bad = int(np.count_nonzero(~np.isfinite(array)))
         raise ContractError(f"{what}: {bad} of {array.size} values are NaN or infinite")
     array.setflags(write=False)
     return array
@@ -134,7 +137,7 @@ class Pose:
 
     def __post_init__(self) -> None:
         rotation = _frozen(self.rotation, (3, 3), "rotation")
-        deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        deviation = float(np.abs(rotation @ rotation.T - _IDENTITY).max())
         if deviation > ORTHONORMAL_TOLERANCE:
             norms = np.array2string(np.linalg.norm(rotation, axis=0), precision=4)
             raise ContractError(
@@ -142,16 +145,16 @@ class Pose:
                 f" norms {norms}); expected a rotation matrix. Usual causes: a scale left in the"
                 " rotation, a quaternion that was not normalised, columns taken for rows"
             )
-        determinant = float(np.linalg.det(rotation))
-        if determinant < 0:
+        if np.linalg.det(rotation) < 0:
             raise ContractError(
-                f"rotation: determinant {determinant:.3f}, a reflection (left-handed); expected"
-                " +1. Usual causes: one axis flipped instead of two, a frame change that mirrors"
+                "rotation: determinant -1, a reflection (left-handed); expected +1. Usual causes:"
+                " one axis flipped instead of two, a frame change that mirrors"
             )
-        u, _, vt = np.linalg.svd(rotation)
-        nearest = u @ vt
-        nearest.setflags(write=False)
-        object.__setattr__(self, "rotation", nearest)
+        if deviation > 1e-14:
+            u, _, vt = np.linalg.svd(rotation)
+            rotation = u @ vt
+            rotation.setflags(write=False)
+        object.__setattr__(self, "rotation", rotation)
         object.__setattr__(
             self, "translation", _frozen(self.translation, (3,), "translation (metres)")
         )
@@ -429,6 +432,11 @@ class Hypothesis:
     def pose(self) -> Pose:
         """Rotation and translation as one."""
         return Pose(self.rotation, self.translation)
+
+    @property
+    def shape(self) -> Mesh | Array | None:
+        """The mesh if there is one, else the points."""
+        return self.points if self.mesh is None else self.mesh
 
 
 @dataclass(frozen=True)

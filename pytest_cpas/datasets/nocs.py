@@ -62,6 +62,7 @@ fixed_real_test_obj_models.zip -> fixed_real_test_obj_models/  (about 20 MB)
 and pass that folder, or its parent if it is called real275, with --cpas-data DIR or CPAS_DATA."""
 
 
+@functools.cache
 def symmetry_of(category: str) -> Symmetry:
     """The symmetry that the paper grants a category: bottle, bowl and can about y, else none."""
     return Symmetry.about([0, 1, 0]) if category in SYMMETRIC_CATEGORIES else Symmetry.none()

@@ -1,0 +1,342 @@
+"""Method times data set gives rows, one per sample; rows give the table."""
+
+from __future__ import annotations
+
+import functools
+import platform
+from abc import ABC, abstractmethod
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from pytest_cpas.frames import to_standard
+from pytest_cpas.metrics.boxes import oriented_iou
+from pytest_cpas.metrics.definitions import definition
+from pytest_cpas.metrics.pose import rotation_error, translation_error
+from pytest_cpas.metrics.precision import (
+    FAILED,
+    PAPER_THRESHOLDS,
+    Count,
+    Errors,
+    JointThreshold,
+)
+from pytest_cpas.metrics.surfaces import SAMPLE_COUNT, Surface, surface_errors
+from pytest_cpas.types import (
+    Array,
+    ContractError,
+    Dataset,
+    GroundTruth,
+    Hypothesis,
+    Mesh,
+    Method,
+    MethodInfo,
+    Prediction,
+    SampleRef,
+    Symmetry,
+)
+
+#: The distance of the paper's F-score, metres.
+FSCORE_DISTANCE = 0.01
+
+#: The thresholds of the precision table.
+THRESHOLDS: tuple[JointThreshold, ...] = PAPER_THRESHOLDS
+
+#: Under which definitions a row's errors are measured.
+_DEFINITIONS = {
+    "translation_error": definition("translation_error", "euclidean").id(),
+    "rotation_error": definition("rotation_error", "symmetry-group").id(),
+    "iou": definition("iou", "oriented-symmetric").id(),
+    "fscore_1cm": definition("fscore", "strict").id(
+        delta_m=FSCORE_DISTANCE, frame="camera", points=SAMPLE_COUNT
+    ),
+}
+
+
+class SampleError(Exception):
+    """A sample could not be judged: damaged data, a method that raised, a broken contract."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """The errors of one sample.
+
+    ``translation_error`` in metres, ``rotation_error`` in degrees. ``iou``, ``fscore_1cm``: None
+    is n/a (the method gives no extents or shape, or the data set has none). A failed prediction
+    has its reason in ``failure`` and the errors of :data:`pytest_cpas.metrics.precision.FAILED`.
+    """
+
+    sample: str
+    category: str
+    translation_error: float
+    rotation_error: float
+    iou: float | None
+    fscore_1cm: float | None
+    failure: str | None = None
+
+    @property
+    def errors(self) -> dict[str, float | None]:
+        """By the names of :data:`pytest_cpas.metrics.precision.METRICS`."""
+        return {
+            "rotation_deg": self.rotation_error,
+            "position_m": self.translation_error,
+            "iou": self.iou,
+            "fscore": self.fscore_1cm,
+        }
+
+
+def outcomes(rows: Sequence[Row]) -> list[str]:
+    """Per row one character for each of :data:`THRESHOLDS`: correct 1, not 0, n/a -."""
+    errors = Errors.from_rows([row.errors for row in rows])
+    columns = []
+    for threshold in THRESHOLDS:
+        judged = errors.judge(threshold)
+        if judged is None:
+            columns.append(["-"] * len(rows))
+            continue
+        columns.append(
+            [
+                "-" if not known else "1" if correct else "0"
+                for correct, known in zip(*judged, strict=True)
+            ]
+        )
+    return ["".join(characters) for characters in zip(*columns, strict=True)]
+
+
+#: Counts per category (and "all") and threshold label; None where every sample is n/a.
+Table = dict[str, dict[str, Count | None]]
+
+
+def precision_table(judged: Iterable[tuple[str, str]]) -> Table:
+    """The table of samples given as (category, outcome)."""
+    groups: dict[str, list[str]] = {}
+    for category, outcome in judged:
+        groups.setdefault("all", []).append(outcome)
+        groups.setdefault(category, []).append(outcome)
+    table: Table = {}
+    for category, members in sorted(groups.items()):
+        table[category] = {}
+        for index, threshold in enumerate(THRESHOLDS):
+            column = [outcome[index] for outcome in members if outcome[index] != "-"]
+            cell = Count(column.count("1"), len(column)) if column else None
+            table[category][threshold.label] = cell
+    return table
+
+
+class Run(ABC):
+    """Something that judges samples: a method on a data set, or stored predictions.
+
+    ``samples`` are those selected; ``listed`` counts per category what there was to select from.
+    ``missing`` and ``damaged`` as for a data set. ``identity`` holds what must agree for two runs
+    to be comparable, ``provenance`` what else should be known of this one.
+    """
+
+    provenance: Mapping[str, str] = {
+        "platform": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+    def __init__(
+        self,
+        method: str,
+        dataset: str,
+        samples: Sequence[SampleRef],
+        *,
+        categories: Sequence[str] = (),
+        limit: int | None = None,
+        missing: Sequence[str] = (),
+        damaged: Sequence[str] = (),
+        identity: Mapping[str, str],
+    ) -> None:
+        """Select the samples of ``categories`` (all if empty), ``limit`` of them, evenly spaced."""
+        self.method, self.dataset = method, dataset
+        self.listed = Counter(sample.category for sample in samples)
+        chosen = [s for s in samples if not categories or s.category in categories]
+        count = len(chosen) if limit is None else min(limit, len(chosen))
+        self.samples = [chosen[i * len(chosen) // count] for i in range(count)]
+        self.missing, self.damaged = missing, damaged
+        self.identity: Mapping[str, str] = {**_DEFINITIONS, **identity}
+
+    @abstractmethod
+    def judge(self, ref: SampleRef) -> Row:
+        """The row of one sample; raises :class:`SampleError`."""
+
+
+class MethodRun(Run):
+    """A method on a data set. The method is loaded at its first sample, once per process."""
+
+    def __init__(
+        self,
+        method: Method,
+        dataset: Dataset,
+        *,
+        categories: Sequence[str] = (),
+        limit: int | None = None,
+        weights: Path | None = None,
+        device: str = "cpu",
+        seed: int = 0,
+    ) -> None:
+        """List the samples whose category the method knows; nothing is loaded yet."""
+        self._method, self._dataset = method, dataset
+        self._weights, self._device, self._seed = weights, device, seed
+        known = [s for s in dataset.samples if s.category in method.info.categories]
+        missing = list(dataset.missing)
+        unknown = sorted({s.category for s in dataset.samples} - set(method.info.categories))
+        if unknown:
+            missing.append(
+                f"{method.info.name} does not know {', '.join(unknown)}:"
+                f" {len(dataset.samples) - len(known)} samples left out"
+            )
+        super().__init__(
+            method.info.name,
+            dataset.name,
+            known,
+            categories=categories,
+            limit=limit,
+            missing=missing,
+            damaged=dataset.damaged,
+            identity={"data": dataset.digest, "seed": str(seed), "device": device},
+        )
+
+    @functools.cached_property
+    def _loaded(self) -> Method:
+        self._method.load(self._weights, self._device)
+        return self._method
+
+    def judge(self, ref: SampleRef) -> Row:
+        """Read, predict, validate, measure."""
+        where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
+        try:
+            sample = self._dataset.load(ref)
+        except ContractError as error:
+            raise SampleError(f"{where}: the data is bad: {error}") from None
+        try:
+            answers = self._loaded.predict([sample.observation], self._seed)
+        except ContractError as error:
+            raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
+        except Exception as error:
+            raise SampleError(f"{where}: the method raised {error!r}") from error
+        try:
+            prediction = check_answers(answers, self._method.info)
+            return measure([ref], [sample.truth], [prediction], self._method.info)[0]
+        except ContractError as error:
+            raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
+
+
+def check_answers(answers: Sequence[Prediction], info: MethodInfo) -> Prediction:
+    """The one prediction of a batch of one, if it holds what the method declares to give."""
+    if not isinstance(answers, Sequence) or len(answers) != 1:
+        seen = f"{len(answers)} of them" if isinstance(answers, Sequence) else type(answers)
+        raise ContractError(f"predict: {seen}, expected one Prediction for a batch of one")
+    prediction = answers[0]
+    if not isinstance(prediction, Prediction):
+        raise ContractError(f"predict: a {type(prediction).__name__}, expected Prediction")
+    for hypothesis in prediction.hypotheses:
+        for part in ("extents", "shape", "score"):
+            if getattr(hypothesis, part) is not None and part not in info.gives:
+                raise ContractError(
+                    f"hypothesis: {part} is given, but info.gives is {sorted(info.gives)}; declare"
+                    " what is given, or it would not be judged"
+                )
+            if part in info.gives:
+                _declared(getattr(hypothesis, part), part)
+    return prediction
+
+
+def measure(
+    refs: Sequence[SampleRef],
+    truths: Sequence[GroundTruth],
+    predictions: Sequence[Prediction],
+    info: MethodInfo,
+) -> list[Row]:
+    """The errors of each prediction's best hypothesis; frames are converted as ``info`` declares.
+
+    Raises :class:`ContractError` for a hypothesis without the shape that ``info`` declares.
+    """
+    rows: list[Row | None] = []
+    groups: dict[Symmetry, list[int]] = defaultdict(list)
+    best: dict[int, Hypothesis] = {}
+    for index, (ref, truth, prediction) in enumerate(zip(refs, truths, predictions, strict=True)):
+        rows.append(None)
+        if prediction.hypotheses:
+            best[index] = to_standard(prediction.hypotheses[0], info)
+            groups[truth.symmetry].append(index)
+        else:
+            shape = "shape" in info.gives and truth.surface is not None
+            rows[index] = failed_row(ref, prediction.reason, "extents" in info.gives, shape)
+    for symmetry, members in groups.items():
+        estimates, true = [best[i] for i in members], [truths[i] for i in members]
+        rotations = np.stack([h.rotation for h in estimates])
+        translations = np.stack([h.translation for h in estimates])
+        true_rotations = np.stack([t.pose.rotation for t in true])
+        true_translations = np.stack([t.pose.translation for t in true])
+        angles = np.degrees(rotation_error(rotations, true_rotations, symmetry))
+        distances = translation_error(translations, true_translations)
+        ious: Sequence[float | None] = [None] * len(members)
+        if "extents" in info.gives:
+            extents = np.stack([_declared(h.extents, "extents") for h in estimates])
+            true_extents = np.stack([t.extents for t in true])
+            ious = oriented_iou(
+                rotations, translations, extents, true_rotations, true_translations, true_extents
+            ).tolist()
+        for i, distance, angle, iou in zip(members, distances, angles, ious, strict=True):
+            fscore = _fscore(truths[i], best[i]) if "shape" in info.gives else None
+            rows[i] = Row(refs[i].id, refs[i].category, float(distance), float(angle), iou, fscore)
+    return [row for row in rows if row is not None]
+
+
+def _declared(value: Any, part: str) -> Any:
+    if value is None:
+        raise ContractError(
+            f"hypothesis: {part} is None, but info.gives has {part!r}; give it or do not declare it"
+        )
+    return value
+
+
+def _fscore(truth: GroundTruth, estimate: Hypothesis) -> float | None:
+    if truth.surface is None:
+        return None
+    errors = surface_errors(
+        _truth_surface(_Same(truth.surface)),
+        Surface.of(_declared(estimate.shape, "shape"), seed=0),
+        truth_pose=truth.pose,
+        estimated_pose=estimate.pose,
+    )
+    return float(errors.fscore(FSCORE_DISTANCE))
+
+
+def failed_row(ref: SampleRef, reason: str | None, box: bool, shape: bool) -> Row:
+    """The row of a sample without an answer: correct under no threshold."""
+    return Row(
+        ref.id,
+        ref.category,
+        FAILED["position_m"],
+        FAILED["rotation_deg"],
+        FAILED["iou"] if box else None,
+        FAILED["fscore"] if shape else None,
+        failure=reason,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Same:
+    """A surface as a key of a cache: equal if it is the same object."""
+
+    surface: Mesh | Array
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.surface is other.surface
+
+    def __hash__(self) -> int:
+        return id(self.surface)
+
+
+@functools.lru_cache(maxsize=256)
+def _truth_surface(same: _Same) -> Surface:
+    return Surface.of(same.surface, seed=0)

@@ -1,0 +1,256 @@
+"""A pytest run with ``--cpas-*``: what is judged, the rows that come back, the verdict at the end.
+
+The same object lives on the controller and on every xdist worker. Workers judge; their rows ride
+on the test reports as plain values; the controller, which without xdist is the only process,
+collects them, compares with the golden tables and reports.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+
+from pytest_cpas import registry
+from pytest_cpas.evaluation import MethodRun, Row, Run
+from pytest_cpas.golden import (
+    GoldenError,
+    GoldenTable,
+    Verdict,
+    Word,
+    compare,
+    find_golden,
+    recorded_golden,
+)
+from pytest_cpas.plugin import golden_folder
+from pytest_cpas.predictions import StoredRun
+from pytest_cpas.report.terminal import print_run
+from pytest_cpas.types import ContractError, Method, MethodInfo, SampleRef
+
+#: Where an item keeps the rows of the samples it judged.
+ROWS = pytest.StashKey[list[Row]]()
+
+SUITE = Path(__file__).parent / "suite"
+
+
+class CpasSession:
+    """The hooks of a run, and its state."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        """Resolve methods, data sets and predictions; :class:`pytest.UsageError` if that fails."""
+        self.config = config
+        self.is_controller = not hasattr(config, "workerinput")
+        self.update = bool(config.getoption("update_snapshots", False))
+        self.golden = golden_folder(config)
+        self.runs: list[Run] = _resolve_runs(config)
+        self.rows: dict[Run, dict[str, Row]] = {run: {} for run in self.runs}
+        self.verdicts: dict[Run, list[Verdict]] = {}
+        self._broken = 0
+        suite = str(SUITE / "test_samples.py")
+        named = config.args_source is pytest.Config.ArgsSource.ARGS
+        config.args = [*config.args, suite] if named else [suite]
+
+    def groups(self, run: Run) -> Iterable[tuple[str, list[SampleRef]]]:
+        """The samples of a run as (name, samples), one group per test item."""
+        granularity = self.config.option.cpas_granularity
+        if granularity == "sample":
+            return [(f"{ref.category}-{ref.id}", [ref]) for ref in run.samples]
+        groups: dict[str, list[SampleRef]] = defaultdict(list)
+        for ref in run.samples:
+            groups[ref.scene if granularity == "scene" else "all"].append(ref)
+        return groups.items()
+
+    # -- items ------------------------------------------------------------------------------
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_pycollect_makemodule(
+        self, module_path: Path, parent: pytest.Collector
+    ) -> pytest.Module | None:
+        """Give the shipped suite short node ids that are the same wherever it is installed."""
+        if module_path.parent != SUITE:
+            return None
+        module: pytest.Module = pytest.Module.from_parent(
+            parent, path=module_path, name="cpas", nodeid="cpas"
+        )
+        return module
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Put an item's rows on its report, as plain values that xdist can send."""
+        report = yield
+        if report.when == "call" and ROWS in item.stash:
+            run = item.callspec.params["run"]  # type: ignore[attr-defined]
+            index = self.runs.index(run)
+            rows = [(index, asdict(row)) for row in item.stash[ROWS]]
+            report.cpas_rows = rows  # type: ignore[attr-defined]
+        return report
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """On the controller: collect rows."""
+        if not self.is_controller:
+            return
+        if report.failed:
+            self._broken += 1
+        for index, values in getattr(report, "cpas_rows", ()):
+            row = Row(**values)
+            self.rows[self.runs[index]][row.sample] = row
+
+    # -- verdict ----------------------------------------------------------------------------
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
+        """After the last item, on the controller: one report per golden cell group."""
+        try:
+            return (yield)
+        finally:
+            interrupted = isinstance(sys.exception(), KeyboardInterrupt)
+            if self.is_controller and not interrupted and not self.config.option.collectonly:
+                self._judge_runs(session)
+
+    def _judge_runs(self, session: pytest.Session) -> None:
+        for run in self.runs:
+            self.verdicts[run] = self._verdicts(run)
+            for verdict in self.verdicts[run]:
+                self._emit(session, run, verdict)
+
+    def _verdicts(self, run: Run) -> list[Verdict]:
+        rows = list(self.rows[run].values())
+        if not self.update:
+            try:
+                return compare(find_golden(self.golden, run.method, run.dataset), rows, run)
+            except GoldenError as error:
+                return [Verdict(Word.DAMAGED, "all", str(error))]
+        try:
+            if self._broken or run.damaged:
+                raise GoldenError(f"{self._broken} items failed; a golden table needs none to")
+            previous = recorded_golden(self.golden, run.method, run.dataset)
+            folder = GoldenTable.of(run, rows, previous).write(self.golden)
+            return [Verdict(Word.RECORDED, "all", str(folder))]
+        except GoldenError as error:
+            return [Verdict(Word.NOT_RECORDED, "all", str(error))]
+
+    def _emit(self, session: pytest.Session, run: Run, verdict: Verdict) -> None:
+        """Report a verdict as if it were an item: terminal, JUnit and exit code then agree."""
+        nodeid = f"cpas::golden[{run.method}-{run.dataset}-{verdict.category}]"
+        location = ("cpas", None, nodeid.removeprefix("cpas::"))
+        outcome: Literal["passed", "failed", "skipped"] = "passed"
+        longrepr: Any = None
+        if verdict.failed or (
+            verdict.word is Word.NOT_CHECKED and self.config.option.cpas_require_golden
+        ):
+            outcome = "failed"
+            message = f"{run.method} on {run.dataset}: {verdict}"
+            longrepr = pytest.ExceptionInfo.from_exception(
+                _raised(pytest.fail.Exception(message, pytrace=False))
+            ).getrepr(style="value")
+        elif verdict.word is Word.NOT_CHECKED:
+            outcome, longrepr = "skipped", ("cpas", 0, f"{run.method} on {run.dataset}: {verdict}")
+        session.testscollected += 1
+        hook = self.config.hook
+        hook.pytest_runtest_logstart(nodeid=nodeid, location=location)
+        for when in ("setup", "call", "teardown"):
+            called = when == "call"
+            hook.pytest_runtest_logreport(
+                report=pytest.TestReport(
+                    nodeid,
+                    location,
+                    keywords={},
+                    outcome=outcome if called else "passed",
+                    longrepr=longrepr if called else None,
+                    when=when,
+                )
+            )
+        hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        """The tables and verdicts."""
+        for run in self.runs if self.is_controller else ():
+            rows = self.rows[run]
+            print_run(terminalreporter, run, list(rows.values()), self.verdicts.get(run, []))
+
+
+def _raised(error: BaseException) -> BaseException:
+    """The error with a traceback, which pytest needs to represent it."""
+    try:
+        raise error
+    except BaseException as caught:
+        return caught
+
+
+def _resolve_runs(config: pytest.Config) -> list[Run]:
+    options = config.option
+    if bool(options.cpas_method) != bool(options.cpas_dataset):
+        given: registry.Kind = "method" if options.cpas_method else "dataset"
+        lacking: registry.Kind = "dataset" if options.cpas_method else "method"
+        known = ", ".join(entry.name for entry in registry.registered(lacking))
+        raise pytest.UsageError(
+            f"--cpas-{given} needs --cpas-{lacking} NAME as well; registered: {known}"
+        )
+    if options.cpas_limit is not None and options.cpas_limit < 1:
+        raise pytest.UsageError(f"--cpas-limit is {options.cpas_limit}, expected at least 1")
+    here = str(config.invocation_params.dir)
+    if here not in sys.path:  # package.module:Class is looked for where pytest was started
+        sys.path.insert(0, here)
+    data, weights = (
+        None if folder is None else config.invocation_params.dir / folder
+        for folder in (options.cpas_data, options.cpas_weights)
+    )
+    select = {"categories": options.cpas_category, "limit": options.cpas_limit}
+    runs: list[Run] = []
+    try:
+        methods = [_make_method(name, weights) for name in options.cpas_method]
+        datasets = [registry.resolve("dataset", name)(data) for name in options.cpas_dataset]
+        runs += [
+            MethodRun(
+                make(),
+                dataset,
+                weights=weights,
+                device=options.cpas_device,
+                seed=options.cpas_seed,
+                **select,
+            )
+            for make in methods
+            for dataset in datasets
+        ]
+        for name in options.cpas_predictions:
+            runs.append(StoredRun(config.invocation_params.dir / name, **select))
+    except (registry.RegistryError, ContractError, OSError) as error:
+        raise pytest.UsageError(str(error)) from error
+    for run in runs:
+        if not run.samples and not run.damaged:
+            asked = f" of {', '.join(options.cpas_category)}" if options.cpas_category else ""
+            raise pytest.UsageError(
+                "\n".join([f"{run.method} on {run.dataset}: no samples{asked}", *run.missing])
+            )
+    names = [(run.method, run.dataset) for run in runs]
+    if len(set(names)) < len(names):
+        raise pytest.UsageError(f"the same method and data set twice: {names}")
+    return runs
+
+
+def _make_method(name: str, weights: Path | None) -> Callable[[], Method]:
+    """Check a method's class and its assets; nothing is loaded."""
+    factory = registry.resolve("method", name)
+    info = getattr(factory, "info", None)
+    if not isinstance(info, MethodInfo):
+        raise ContractError(
+            f"method {name!r}: {factory!r} has no attribute info of type MethodInfo; a method is a"
+            " class with info, load(assets, device) and predict(batch, seed)"
+        )
+    for asset in info.assets:
+        if weights is None or not (weights / asset.path).is_file():
+            where = f"{weights / asset.path} does not exist" if weights else "no --cpas-weights"
+            raise FileNotFoundError(
+                f"{info.name} needs {asset.path}: {where}. It is published at {asset.url}"
+                f" ({asset.licence}); fetch it, and pass its folder with --cpas-weights DIR or"
+                " CPAS_WEIGHTS"
+            )
+    make: Callable[[], Method] = factory
+    return make

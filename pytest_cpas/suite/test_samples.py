@@ -1,0 +1,49 @@
+"""One item per sample: predict, validate, measure. Accuracy is judged by the golden tables."""
+
+from __future__ import annotations
+
+import pytest
+
+from pytest_cpas.evaluation import Run, SampleError
+from pytest_cpas.session import ROWS, CpasSession
+from pytest_cpas.types import SampleRef
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Parametrise by run, and by sample (or group of samples)."""
+    session = metafunc.config.pluginmanager.get_plugin("cpas-session")
+    assert isinstance(session, CpasSession), "the suite needs --cpas-method or --cpas-predictions"
+    if "refs" in metafunc.fixturenames:
+        metafunc.parametrize(
+            ("run", "refs"),
+            [
+                pytest.param(run, refs, id=f"{run.method}-{run.dataset}-{name}")
+                for run in session.runs
+                for name, refs in session.groups(run)
+            ],
+        )
+    else:
+        metafunc.parametrize(
+            "run", [pytest.param(run, id=f"{run.method}-{run.dataset}") for run in session.runs]
+        )
+
+
+def test_listing(run: Run) -> None:
+    """Every sample of the data set can be listed."""
+    if run.damaged:
+        pytest.fail("\n".join(run.damaged), pytrace=False)
+
+
+def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:
+    """The sample can be read, the method answers, and the answer keeps the contract."""
+    rows = request.node.stash[ROWS] = []
+    errors = []
+    for ref in refs:
+        try:
+            rows.append(run.judge(ref))
+        except SampleError as error:
+            errors.append(error)
+    if len(errors) == 1 and errors[0].__cause__ is not None:
+        raise errors[0]
+    if errors:
+        pytest.fail("\n".join(str(error) for error in errors), pytrace=False)
