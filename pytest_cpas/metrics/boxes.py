@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pytest_cpas.metrics._box_clipping import overlap
+from pytest_cpas.metrics._box_clipping import overlap_and_torque
 from pytest_cpas.metrics.pose import checked_rotations, checked_vectors
 from pytest_cpas.types import ContractError, Mesh, Pose
 
@@ -124,7 +124,7 @@ def _oriented(
 ) -> Array:
     inverse = np.swapaxes(rotation_b, -1, -2)
     offset = (inverse @ (translation_a - translation_b)[..., None])[..., 0]
-    shared = overlap(inverse @ rotation_a, offset, extents_a / 2, extents_b / 2)
+    shared, _ = overlap_and_torque(inverse @ rotation_a, offset, extents_a / 2, extents_b / 2)
     return _ratio(shared, extents_a, extents_b)
 
 
