@@ -73,49 +73,68 @@ def _half_spaces(box: Box) -> list[Row]:
 
 
 def _volume(rows: list[Row]) -> Fraction:
-    """Volume of {x : normal . x <= bound for all rows} in 1, 2 or 3 dimensions."""
-    dimension = len(rows[0][0])
-    if dimension == 1:
-        return _length(rows)
+    """Volume of {x : normal . x <= bound for all rows}."""
     total = Fraction(0)
     for i, (normal, bound) in enumerate(rows):
         if bound == 0:
             continue
-        pivot = max(range(dimension), key=lambda k: abs(normal[k]))
-        lead = normal[pivot]
-        sign = 1 if lead > 0 else -1
-        face: list[Row] = []
+        pivot = max(range(3), key=lambda k: abs(normal[k]))
+        u, v = (pivot + 1) % 3, (pivot + 2) % 3
+        lead = abs(normal[pivot])
+        n_u, n_v, n_bound = normal[u], normal[v], bound
+        if normal[pivot] < 0:
+            n_u, n_v, n_bound = -n_u, -n_v, -n_bound
+        # x[pivot] = (bound - n_u x[u] - n_v x[v]) / lead on this face
+        face = []
         for j, (other, limit) in enumerate(rows):
             if j == i:
                 continue
-            reduced = tuple(
-                sign * (other[k] * lead - other[pivot] * normal[k])
-                for k in range(dimension)
-                if k != pivot
-            )
-            rest = sign * (limit * lead - other[pivot] * bound)
-            if any(reduced):
-                face.append((reduced, rest))
-            elif rest < 0 or (rest == 0 and j < i and other[pivot] * lead > 0):
+            high = other[pivot]
+            row = (other[u] * lead - high * n_u, other[v] * lead - high * n_v)
+            rest = limit * lead - high * n_bound
+            if any(row):
+                face.append((*row, rest))
+            elif rest < 0 or (rest == 0 and j < i and high * normal[pivot] > 0):
                 break  # outside a parallel face, or the same face was counted before
         else:
-            size = _volume(face)
-            if size:
-                total += Fraction(bound, abs(lead)) * size
-    return total / dimension
+            area = _area(face)
+            if area:
+                total += Fraction(bound, lead) * area
+    return total / 3
 
 
-def _length(rows: list[Row]) -> Fraction:
-    high_n, high_d, low_n, low_d = 0, 0, 0, 0
-    for (slope,), bound in rows:
-        if slope > 0:
-            if high_d == 0 or bound * high_d < high_n * slope:
-                high_n, high_d = bound, slope
-        elif low_d == 0 or -bound * low_d > low_n * -slope:
-            low_n, low_d = -bound, -slope
-    if high_n * low_d <= low_n * high_d:
-        return Fraction(0)
-    return Fraction(high_n, high_d) - Fraction(low_n, low_d)
+def _area(rows: list[tuple[int, int, int]]) -> Fraction:
+    """Area of {(x, y) : a x + b y <= c for all rows (a, b, c)}."""
+    total = Fraction(0)
+    for i, (a, b, c) in enumerate(rows):
+        if c == 0:
+            continue
+        swap = abs(a) < abs(b)
+        p, q, r = (b, a, c) if swap else (a, b, c)
+        if p < 0:
+            p, q, r = -p, -q, -r
+        # on this edge the first coordinate is (r - q y) / p; y runs from low to high
+        high_n = high_d = low_n = low_d = 0
+        for j, (a_j, b_j, c_j) in enumerate(rows):
+            if j == i:
+                continue
+            if swap:
+                a_j, b_j = b_j, a_j
+            slope = b_j * p - a_j * q
+            rest = c_j * p - a_j * r
+            if slope > 0:
+                if high_d == 0 or rest * high_d < high_n * slope:
+                    high_n, high_d = rest, slope
+            elif slope < 0:
+                if low_d == 0 or rest * low_d < low_n * slope:
+                    low_n, low_d = -rest, -slope
+            elif rest < 0 or (rest == 0 and j < i and a_j * (b if swap else a) > 0):
+                break  # outside a parallel edge, or the same edge was counted before
+            if high_d and low_d and high_n * low_d <= low_n * high_d:
+                break
+        else:
+            total += Fraction(c, p) * (Fraction(high_n, high_d) - Fraction(low_n, low_d))
+    return total / 2
 
 
 def _dyadic(rng: np.random.Generator, low: float, high: float) -> Fraction:
