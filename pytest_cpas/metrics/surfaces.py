@@ -255,10 +255,11 @@ def _prune(cloud: Array, centre: Array, radius: float, best: float) -> tuple[Arr
 
     All points lie in the ball around ``centre``. What is farther than ``best`` from a point p at
     distance d from the centre lies, seen from the centre, within an angle phi of the direction
-    opposite to p, where cos phi = (best^2 - d^2 - radius^2) / (2 d radius). That lens is enclosed
-    by a ball around the point of the sphere opposite to p: if the nearest neighbour of that point
-    is outside it, then p has no partner. On a round body the nearest neighbour is also a very
-    good partner, so that one search settles nearly all points.
+    opposite to p, where cos phi = (best^2 - d^2 - radius^2) / (2 d radius). No point of that lens
+    is farther from the point of the sphere opposite to p than the lens' rim is, 2 radius
+    sin(phi / 2): if the nearest neighbour is, then p has no partner. On a round body it is also a
+    very good partner, so that one search settles nearly all points. A point in the centre has no
+    opposite, nor a part in the farthest pair: that is at least 1.6 radii long (Jung's theorem).
     """
     offsets = cloud - centre
     d = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
@@ -271,10 +272,8 @@ def _prune(cloud: Array, centre: Array, radius: float, best: float) -> tuple[Arr
     reached = cloud - cloud[partners]
     best = max(best, float(np.sqrt(np.einsum("ij,ij->i", reached, reached).max())))
     cosine = np.clip((best**2 - d**2 - radius**2) / (2 * d * radius), -1, 1)
-    rim = radius * np.sqrt(2 - 2 * cosine)
-    depth = np.maximum(d + radius - best, 0)
-    lens = np.maximum(rim, depth) + np.sqrt(_SLACK) * radius
-    return cloud[gaps <= lens], best
+    rim = radius * np.sqrt(2 - 2 * cosine) + np.sqrt(_SLACK) * radius
+    return cloud[gaps <= rim], best
 
 
 def _enclosing_ball(cloud: Array) -> tuple[Array, float]:

@@ -12,6 +12,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincc
 
+from pytest_cpas.metrics import surfaces
 from pytest_cpas.metrics.surfaces import Surface, diameter, sample_surface, surface_errors
 from pytest_cpas.types import ContractError, Mesh, Pose
 
@@ -152,7 +153,7 @@ class TestSampling:
     def test_bit_for_bit_like_plain_floats(self) -> None:
         """Python's floats are IEEE doubles without fused operations, on every machine."""
         mesh = Mesh(
-            Rotation.from_rotvec([0.3, 1, 2]).apply(self.mesh.vertices), self.mesh.triangles
+            self.mesh.vertices @ Rotation.from_rotvec([0.3, 1, 2]).as_matrix(), self.mesh.triangles
         )
         where, first, second = (row.tolist() for row in np.random.default_rng(7).random((3, 500)))
         corners = mesh.vertices[mesh.triangles].tolist()
@@ -251,6 +252,28 @@ class TestDiameter:
         cloud = on_sphere(count, seed) * rng.random((count, 1)) ** power
         cloud[:, :flat] = 0
         assert diameter(cloud) == pytest.approx(brute_diameter(cloud), rel=2e-15)
+
+    @settings(max_examples=100, deadline=None)
+    @given(st.integers(0, 2**32 - 1), st.integers(2, 40), st.floats(0, 0.5))
+    def test_pruning_keeps_the_farthest_pair(self, seed: int, count: int, depth: float) -> None:
+        """With a bound just below the diameter, a partner lies on the very rim of the lens."""
+        rng = np.random.default_rng(seed)
+        cloud = on_sphere(count, seed) * (1 - depth * rng.random((count, 1)))
+        distances = cdist(cloud, cloud)
+        farthest = cloud[list(np.unravel_index(np.argmax(distances), distances.shape))]
+        centre, radius = surfaces._enclosing_ball(cloud)
+        assert np.all(np.linalg.norm(cloud - centre, axis=1) <= radius)
+        for ball in ((centre, radius), (np.zeros(3), 1 + 1e-12)):
+            kept, _ = surfaces._prune(cloud, *ball, distances.max() * (1 - 1e-14))
+            assert all(np.any(np.all(kept == point, axis=1)) for point in farthest)
+
+    def test_the_last_comparison_alone(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(surfaces, "_walk", lambda cloud: 0.0)
+        monkeypatch.setattr(surfaces, "_prune", lambda cloud, *ball_and_best: (cloud, 0.0))
+        for i, j in ((0, 1), (3, 1999), (1998, 1999), (255, 256)):
+            cloud = SPHERE.copy()
+            cloud[[i, j]] = [[0, 0, 2], [0, 0, -2]]
+            assert diameter(cloud) == 4
 
     def test_planted_farthest_pair_on_a_sphere(self) -> None:
         cloud = on_sphere(10_000)
