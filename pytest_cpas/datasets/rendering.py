@@ -1,0 +1,116 @@
+"""The one rendering path: ray casting of posed meshes to depth, instances and normals.
+
+Open3D's ray caster (Embree) only decides which triangle a pixel's ray meets. Depth and normal come
+from that triangle's plane in double precision by elementwise operations, which are the same on
+every processor.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas._open3d import import_open3d
+from pytest_cpas.types import Array, Camera, Mesh, Pose
+
+__all__ = ["Rendering", "camera_rays", "render"]
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """What a camera sees, per pixel.
+
+    ``depth`` (H, W) metres along the optical axis, 0 = nothing. ``instance`` (H, W): index of the
+    mesh seen, -1 = nothing. ``triangle`` (H, W): index of its triangle, -1 = nothing. ``normal``
+    (H, W, 3): unit normal in the camera frame, turned towards the camera, 0 = nothing.
+    """
+
+    depth: Array
+    instance: NDArray[np.int64]
+    triangle: NDArray[np.int64]
+    normal: Array
+
+
+@functools.lru_cache(maxsize=4)
+def camera_rays(camera: Camera) -> Array:
+    """Directions (H, W, 3) through the pixel centres, scaled to z = 1."""
+    u = (np.arange(camera.width) - camera.cx) / camera.fx
+    v = (np.arange(camera.height) - camera.cy) / camera.fy
+    rays = np.stack(np.broadcast_arrays(u[None, :], v[:, None], 1.0), axis=-1)
+    rays.setflags(write=False)
+    return rays
+
+
+def render(objects: Sequence[tuple[Mesh, Pose]], camera: Camera) -> Rendering:
+    """Render meshes at their object-to-camera poses; both sides of a triangle are seen.
+
+    Raises :class:`ImportError` that says what to install where Open3D is missing.
+    """
+    shape = (camera.height, camera.width)
+    if not objects:
+        nothing = np.full(shape, -1, dtype=np.int64)
+        return Rendering(np.zeros(shape), nothing, nothing.copy(), np.zeros((*shape, 3)))
+    corners = np.concatenate([_corners(mesh, pose) for mesh, pose in objects])
+    first = np.cumsum([0] + [len(mesh.triangles) for mesh, _ in objects])
+    hit, triangle = _cast(corners, camera)
+
+    seen = corners[triangle]
+    rays = camera_rays(camera)[hit]
+    normal = _cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
+    towards = _dot(normal, rays)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = _dot(normal, seen[:, 0]) / towards
+    # a ray along the plane has no depth there, and rounding can push one off a triangle's edge
+    low, high = seen[:, :, 2].min(axis=1), seen[:, :, 2].max(axis=1)
+    z = np.clip(np.where(np.isfinite(z), z, low), low, high)
+    length = np.sqrt(_dot(normal, normal))
+    normal = normal * (np.where(towards > 0, -1.0, 1.0) / length)[:, None]
+
+    depth, normals = np.zeros(shape), np.zeros((*shape, 3))
+    instances = np.full(shape, -1, dtype=np.int64)
+    triangles = instances.copy()
+    instance = np.searchsorted(first, triangle, side="right") - 1
+    depth[hit], normals[hit] = z, normal
+    instances[hit], triangles[hit] = instance, triangle - first[instance]
+    return Rendering(depth, instances, triangles, normals)
+
+
+def _corners(mesh: Mesh, pose: Pose) -> Array:
+    """Corners (F, 3, 3) of a mesh's triangles in the camera frame."""
+    v, r = mesh.vertices, pose.rotation
+    # a matrix product would go through BLAS, whose rounding depends on the processor
+    moved = v[:, :1] * r[:, 0] + v[:, 1:2] * r[:, 1] + v[:, 2:] * r[:, 2] + pose.translation
+    return moved[mesh.triangles]
+
+
+def _cast(corners: Array, camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Pixels (H, W) whose ray meets a triangle, and these triangles in row-major order."""
+    o3d = import_open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    vertices = corners.reshape(-1, 3).astype(np.float32)
+    scene.add_triangles(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3))
+    directions = camera_rays(camera)
+    rays = np.concatenate([np.zeros_like(directions), directions], axis=-1).astype(np.float32)
+    answer = scene.cast_rays(o3d.core.Tensor(rays))
+    hit = np.isfinite(answer["t_hit"].numpy())
+    return hit, answer["primitive_ids"].numpy()[hit].astype(np.int64)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    product: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    return product
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )
