@@ -203,7 +203,8 @@ class Errors:
         correct = np.logical_and.reduce(
             [_meets(name, self.values[name], limit) for name, limit in limits.items()]
         )
-        return correct & known, known
+        # what is unknown is NaN here and meets no limit
+        return correct, known
 
 
 def count(

@@ -131,6 +131,14 @@ class TestProtocol:
         assert detections.pose_ap(degrees, metres, 5, 0.05).mean == 0.25
         assert detections.pose_ap(degrees, metres, 5, 0.05, match_iou=iou).mean == 1
 
+    def test_what_is_left_out_cannot_be_taken(self) -> None:
+        # the surer prediction has no match at IoU 0.1, so its good pose takes no truth away
+        detections = Detections([0, 0], [1, 1], [0.9, 0.5], [0], [1], [1])
+        assert detections.pose_ap([1, 2], [0, 0], 5, 0.05, match_iou=[0.05, 0.8]).mean == 1
+        # the prediction's match is far off; the truth beside it has a good pose but no match
+        detections = Detections([0], [1], [0.9], [0, 0], [1, 1], [1])
+        assert detections.pose_ap([90, 2], [0, 0], 5, 0.05, match_iou=[0.8, 0.05]).mean == 0
+
     def test_pose_matching_minimises_degrees_plus_centimetres(self) -> None:
         # the surer prediction takes truth 1 (3 + 1) rather than truth 0 (1 + 4): both match
         detections = Detections([0, 0], [1, 1], [0.9, 0.8], [0, 0], [1, 1], [1])
