@@ -1,0 +1,153 @@
+"""What the ``icp`` baseline takes from one observation: surface points and free space.
+
+The masked depth gives points on the object's surface. The rest of the image is evidence as well:
+a part of the object cannot lie where the camera looks through to something further away, neither
+in front of the depth measured inside the mask, nor beside the mask and in front of the background.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from pytest_cpas.types import Camera, Observation
+
+Array = NDArray[np.float64]
+
+#: Fewer masked pixels with a usable depth than this do not determine a pose.
+MIN_POINTS = 30
+#: Points kept for the neighbourhood statistics, neighbours looked at, and points fitted.
+CLOUD_POINTS, NEIGHBOURS, FIT_POINTS = 1600, 20, 400
+#: Longer side, in cells, of the mask's box in the free-space map; margin around it in boxes.
+MAP_CELLS, MAP_MARGIN = 96, 0.6
+#: A stand-in for infinity that keeps products finite, metres or focal units.
+FAR = 1e3
+
+
+class TooLittleEvidenceError(ValueError):
+    """The observation holds too few usable depth values to fit a shape."""
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """The image as a limit on where the object can be, on a grid of (rows, columns) cells.
+
+    Per cell: ``depth`` (metres), in front of which nothing of the object can be; and beside the
+    mask ``distance`` to it in focal lengths with its unit gradient ``direction`` (..., 2).
+    Violation of a point at depth z: ``min(depth - z, distance * z)`` where positive.
+    """
+
+    depth: Array
+    distance: Array
+    direction: Array
+    shape: tuple[int, int]
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+
+    def violation(self, points: Array) -> tuple[Array, Array]:
+        """How far points (..., 3) reach into free space (...), metres, and its gradient."""
+        z = np.maximum(points[..., 2], 1e-3)
+        columns = np.rint(points[..., 0] / z * self.focal[0] + self.centre[0])
+        rows = np.rint(points[..., 1] / z * self.focal[1] + self.centre[1])
+        columns = np.clip(columns, 0, self.shape[1] - 1).astype(np.int64)
+        rows = np.clip(rows, 0, self.shape[0] - 1).astype(np.int64)
+        cell = rows * self.shape[1] + columns
+        ahead = self.depth[cell] - z
+        beside = self.distance[cell] * z
+        is_ahead = ahead < beside
+        amount = np.maximum(np.where(is_ahead, ahead, beside), 0)
+        gradient = np.empty(points.shape)
+        gradient[..., :2] = np.where(is_ahead[..., None], 0, self.direction[cell])
+        gradient[..., 2] = np.where(is_ahead, -1, 0)
+        return amount, gradient
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Surface ``points`` (N, 3) with ``normals`` (N, 3) towards the camera, in the camera frame,
+    in an order in which every leading part covers the surface evenly; and ``free_space``."""
+
+    points: Array
+    normals: Array
+    free_space: FreeSpace
+
+    @classmethod
+    def of(cls, observation: Observation, rng: np.random.Generator) -> Evidence:
+        """Gather the evidence. Raises :class:`TooLittleEvidenceError`."""
+        points, normals = _surface(observation, rng)
+        return cls(points, normals, _free_space(observation))
+
+
+def _surface(observation: Observation, rng: np.random.Generator) -> tuple[Array, Array]:
+    mask, depth, camera = observation.mask, observation.depth, observation.camera
+    usable = mask & (depth > 0)
+    # depth at a mask's border mixes object and background
+    inner = ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1) & usable
+    if np.count_nonzero(inner) >= 4 * MIN_POINTS:
+        usable = inner
+    cloud = camera.back_project(depth, usable)
+    if len(cloud) < MIN_POINTS:
+        raise TooLittleEvidenceError(
+            f"only {len(cloud)} pixels of the mask have a depth, {MIN_POINTS} are needed"
+        )
+    cloud = cloud[rng.permutation(len(cloud))[:CLOUD_POINTS]]
+    neighbours = min(NEIGHBOURS, len(cloud))
+    distances, indices = cKDTree(cloud).query(cloud, k=neighbours)
+    spacing = distances[:, -1]
+    # flying pixels stand alone, and what lies far off along the ray is not the object
+    off = np.abs(cloud[:, 2] - np.median(cloud[:, 2]))
+    keep = (spacing < 3 * np.median(spacing)) & (off < 0.4)
+    if np.count_nonzero(keep) < MIN_POINTS:
+        raise TooLittleEvidenceError(
+            f"only {np.count_nonzero(keep)} of {len(cloud)} masked depth values hang together,"
+            f" {MIN_POINTS} are needed"
+        )
+    chosen = np.flatnonzero(keep)[:FIT_POINTS]
+    around = cloud[indices[chosen]]
+    around = around - around.mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    points = cloud[chosen]
+    away = np.einsum("ni,ni->n", normals, points) > 0
+    normals[away] *= -1
+    return points, normals
+
+
+def _free_space(observation: Observation) -> FreeSpace:
+    mask, camera = observation.mask, observation.camera
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    low = np.array([rows[0], columns[0]])
+    size = np.array([rows[-1], columns[-1]]) + 1 - low
+    margin = int(np.ceil(MAP_MARGIN * size.max())) + 2
+    step = max(1, round(size.max() / MAP_CELLS))
+    first = np.maximum(low - margin, 0)
+    last = np.minimum(low + size + margin, mask.shape)
+    window = (slice(first[0], last[0], step), slice(first[1], last[1], step))
+    inside = mask[window]
+    depth = observation.depth[window].astype(float)
+    missing = depth <= 0
+    depth[missing & inside] = -FAR
+    depth[missing & ~inside] = FAR
+    if inside.any():
+        steps, nearest = ndimage.distance_transform_edt(~inside, return_indices=True)
+    else:  # a mask thinner than the step
+        steps, nearest = np.zeros(inside.shape), np.indices(inside.shape)
+    offset = np.moveaxis(np.indices(inside.shape) - nearest, 0, -1)[..., ::-1]
+    direction = offset / np.maximum(steps, 1)[..., None]
+    # one pixel of slack: the mask's border is no more exact
+    distance = np.where(inside, FAR, np.maximum(steps * step - 1, 0) / camera.fx)
+    return FreeSpace(
+        depth=depth.ravel(),
+        distance=distance.ravel(),
+        direction=direction.reshape(-1, 2),
+        shape=(inside.shape[0], inside.shape[1]),
+        focal=(camera.fx / step, camera.fy / step),
+        centre=_window_centre(camera, first, step),
+    )
+
+
+def _window_centre(camera: Camera, first: NDArray[np.int64], step: int) -> tuple[float, float]:
+    return (camera.cx - first[1]) / step, (camera.cy - first[0]) / step
