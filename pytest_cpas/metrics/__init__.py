@@ -1,12 +1,20 @@
 """Metrics: pure functions on arrays, usable without pytest, data sets or methods."""
 
 from pytest_cpas.metrics.average_precision import POSE_MATCH_IOU, AveragePrecision, Detections
+from pytest_cpas.metrics.boxes import (
+    axis_aligned_box_iou,
+    iou_plus,
+    nocs_legacy_iou,
+    oriented_iou,
+    symmetric_iou,
+)
 from pytest_cpas.metrics.definitions import (
     DEFINITIONS,
     Definition,
     definition,
     require_same_definition,
 )
+from pytest_cpas.metrics.pose import rotation_error, translation_error
 from pytest_cpas.metrics.precision import (
     FAILED,
     METRICS,
@@ -44,6 +52,7 @@ __all__ = [
     "JointThreshold",
     "Surface",
     "SurfaceErrors",
+    "axis_aligned_box_iou",
     "best_and_worst",
     "count",
     "count_by_category",
@@ -51,9 +60,15 @@ __all__ = [
     "definition",
     "diameter",
     "iou_auc",
+    "iou_plus",
     "mean_over_categories",
+    "nocs_legacy_iou",
+    "oriented_iou",
     "pose_vus",
     "require_same_definition",
+    "rotation_error",
     "sample_surface",
     "surface_errors",
+    "symmetric_iou",
+    "translation_error",
 ]
