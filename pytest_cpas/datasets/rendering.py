@@ -51,31 +51,32 @@ def render(objects: Sequence[tuple[Mesh, Pose]], camera: Camera) -> Rendering:
     Raises :class:`ImportError` that says what to install where Open3D is missing.
     """
     shape = (camera.height, camera.width)
+    depth, normals = np.zeros(shape), np.zeros((*shape, 3))
+    instances, triangles = np.full(shape, -1), np.full(shape, -1)
     if not objects:
-        nothing = np.full(shape, -1, dtype=np.int64)
-        return Rendering(np.zeros(shape), nothing, nothing.copy(), np.zeros((*shape, 3)))
+        return Rendering(depth, instances, triangles, normals)
     corners = np.concatenate([_corners(mesh, pose) for mesh, pose in objects])
     first = np.cumsum([0] + [len(mesh.triangles) for mesh, _ in objects])
     hit, triangle = _cast(corners, camera)
 
-    seen = corners[triangle]
-    rays = camera_rays(camera)[hit]
-    normal = _cross(seen[:, 1] - seen[:, 0], seen[:, 2] - seen[:, 0])
-    towards = _dot(normal, rays)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = _dot(normal, seen[:, 0]) / towards
-    # a ray along the plane has no depth there, and rounding can push one off a triangle's edge
-    low, high = seen[:, :, 2].min(axis=1), seen[:, :, 2].max(axis=1)
-    z = np.clip(np.where(np.isfinite(z), z, low), low, high)
+    # planes: normal . x = offset
+    normal = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.sqrt(_dot(normal, normal))
-    normal = normal * (np.where(towards > 0, -1.0, 1.0) / length)[:, None]
+    normal /= np.where(length > 0, length, 1)[:, None]
+    offset = _dot(normal, corners[:, 0])
+    low, high = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
+    seen = normal[triangle]
+    towards = _dot(seen, camera_rays(camera)[hit])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = offset[triangle] / towards
+    # a ray along the plane has no depth there, and rounding can push one off a triangle's edge
+    z = np.clip(np.where(np.isfinite(z), z, low[triangle]), low[triangle], high[triangle])
 
-    depth, normals = np.zeros(shape), np.zeros((*shape, 3))
-    instances = np.full(shape, -1, dtype=np.int64)
-    triangles = instances.copy()
-    instance = np.searchsorted(first, triangle, side="right") - 1
-    depth[hit], normals[hit] = z, normal
-    instances[hit], triangles[hit] = instance, triangle - first[instance]
+    instance = np.searchsorted(first, np.arange(len(corners)), side="right") - 1
+    depth[hit] = z
+    normals[hit] = np.where(towards > 0, -1.0, 1.0)[:, None] * seen
+    instances[hit] = instance[triangle]
+    triangles[hit] = triangle - first[instances[hit]]
     return Rendering(depth, instances, triangles, normals)
 
 
@@ -93,11 +94,16 @@ def _cast(corners: Array, camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np
     scene = o3d.t.geometry.RaycastingScene()
     vertices = corners.reshape(-1, 3).astype(np.float32)
     scene.add_triangles(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3))
-    directions = camera_rays(camera)
-    rays = np.concatenate([np.zeros_like(directions), directions], axis=-1).astype(np.float32)
-    answer = scene.cast_rays(o3d.core.Tensor(rays))
+    answer = scene.cast_rays(o3d.core.Tensor(_float_rays(camera)))
     hit = np.isfinite(answer["t_hit"].numpy())
     return hit, answer["primitive_ids"].numpy()[hit].astype(np.int64)
+
+
+@functools.lru_cache(maxsize=4)
+def _float_rays(camera: Camera) -> NDArray[np.float32]:
+    """Origins and directions (H, W, 6) for the ray caster."""
+    directions = camera_rays(camera)
+    return np.concatenate([np.zeros_like(directions), directions], axis=-1).astype(np.float32)
 
 
 def _dot(a: Array, b: Array) -> Array:

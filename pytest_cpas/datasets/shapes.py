@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas.types import CATEGORIES, Array, Mesh
 
-__all__ = ["RANGES", "make", "mean_shape"]
+__all__ = ["RANGES", "make", "mean_shape", "solid_of_revolution"]
 
 _SEGMENTS = 48
 
@@ -95,6 +95,14 @@ def mean_shape(category: str) -> Mesh:
     """
     values = {name: (low + high) / 2 for name, (low, high) in _ranges(category).items()}
     return _BUILDERS[category](**values)
+
+
+def solid_of_revolution(profile: Array) -> Mesh:
+    """The solid about the y axis through ``profile`` (M, 2): radius and height, metres.
+
+    Both ends are closed by a disc. Like every shape it is centred on its bounding box.
+    """
+    return _solid(_revolve(profile))
 
 
 def _ranges(category: str) -> dict[str, tuple[float, float]]:
@@ -184,7 +192,7 @@ def _bottle(height: float, radius: float, neck_radius: float, shoulder: float, n
             ],
         ]
     )
-    return _solid(_revolve(_refine(profile, 0.02)))
+    return solid_of_revolution(_refine(profile, 0.02))
 
 
 def _bowl(height: float, radius: float, foot: float, belly: float, wall: float) -> Mesh:
@@ -204,7 +212,7 @@ def _bowl(height: float, radius: float, foot: float, belly: float, wall: float) 
     )[::-1]
     below = [[r_foot - 2 * wall, ring / 2], [r_foot - wall, 0.0], [r_foot, 0.0]]
     lip = [[radius - wall / 2, height + wall / 4]]
-    return _solid(_revolve(np.concatenate([below, outer, lip, inner, [[r_foot / 2, floor]]])))
+    return solid_of_revolution(np.concatenate([below, outer, lip, inner, [[r_foot / 2, floor]]]))
 
 
 def _can(height: float, radius: float, lid: float, taper: float) -> Mesh:
@@ -222,7 +230,7 @@ def _can(height: float, radius: float, lid: float, taper: float) -> Mesh:
             [r_lid - 1.5 * rim, height - 0.004],
         ]
     )
-    return _solid(_revolve(_refine(profile, 0.02)))
+    return solid_of_revolution(_refine(profile, 0.02))
 
 
 def _laptop(
