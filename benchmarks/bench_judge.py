@@ -99,7 +99,9 @@ def judge(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    data_folder = os.environ.get("CPAS_TEST_DATA", Path(__file__).parents[2] / "shared" / "data")
+    data_folder = os.environ.get(
+        "CPAS_TEST_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"
+    )
     file = Path(data_folder, "predictions", "dualposenet_real275.npz")
     start = time.perf_counter()
     judge(Path(sys.argv[1]) if len(sys.argv) > 1 else file)
