@@ -3,7 +3,7 @@ from math import comb
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_cpas.metrics.precision import (
@@ -78,6 +78,7 @@ class TestJointThreshold:
 
 
 class TestCounting:
+    @settings(deadline=None)
     @given(
         st.lists(
             st.fixed_dictionaries(

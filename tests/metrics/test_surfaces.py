@@ -75,6 +75,7 @@ class TestSurfaceErrors:
         assert errors.fscore(0.25) == 0
         assert errors.fscore(np.nextafter(0.25, 1)) == 1
 
+    @settings(deadline=None)
     @given(
         st.lists(st.integers(-3, 3), min_size=1, max_size=8),
         st.lists(st.integers(-3, 3), min_size=1, max_size=8),
