@@ -116,12 +116,16 @@ class CpasSession:
 
     def _judge_runs(self, session: pytest.Session) -> None:
         for run in self.runs:
-            self.verdicts[run] = self._verdicts(run)
+            self.verdicts[run] = self._verdicts(run, self._ordered(run))
             for verdict in self.verdicts[run]:
                 self._emit(session, run, verdict)
 
-    def _verdicts(self, run: Run) -> list[Verdict]:
-        rows = list(self.rows[run].values())
+    def _ordered(self, run: Run) -> list[Row]:
+        """The rows in the data set's order, however they arrived."""
+        rows = self.rows[run]
+        return [rows[ref.id] for ref in run.samples if ref.id in rows]
+
+    def _verdicts(self, run: Run, rows: list[Row]) -> list[Verdict]:
         if not self.update:
             try:
                 return compare(find_golden(self.golden, run.method, run.dataset), rows, run)
@@ -146,9 +150,8 @@ class CpasSession:
             verdict.word is Word.NOT_CHECKED and self.config.option.cpas_require_golden
         ):
             outcome = "failed"
-            message = f"{run.method} on {run.dataset}: {verdict}"
             longrepr = pytest.ExceptionInfo.from_exception(
-                _raised(pytest.fail.Exception(message, pytrace=False))
+                _raised(pytest.fail.Exception(str(verdict), pytrace=False))
             ).getrepr(style="value")
         elif verdict.word is Word.NOT_CHECKED:
             outcome, longrepr = "skipped", ("cpas", 0, f"{run.method} on {run.dataset}: {verdict}")
@@ -172,8 +175,7 @@ class CpasSession:
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The tables and verdicts."""
         for run in self.runs if self.is_controller else ():
-            rows = self.rows[run]
-            print_run(terminalreporter, run, list(rows.values()), self.verdicts.get(run, []))
+            print_run(terminalreporter, run, self._ordered(run), self.verdicts.get(run, []))
 
 
 def _raised(error: BaseException) -> BaseException:

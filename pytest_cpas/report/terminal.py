@@ -37,7 +37,8 @@ def print_run(
         colour = {"red": group[0].failed, "green": word in (Word.MATCHES, Word.RECORDED)}
         if len(group) == 1 or group[0].failed:
             for verdict in group:
-                terminal.write_line(f"golden: {verdict}", **colour)
+                # the rest of it stands among the failures
+                terminal.write_line(f"golden: {verdict}".splitlines()[0], **colour)
         else:
             names = ", ".join(verdict.category for verdict in group)
             terminal.write_line(f"golden: {word.value} ({names})", **colour)

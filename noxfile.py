@@ -1,0 +1,72 @@
+"""Every task of the project, each in an environment of its own: ``nox -s demo``, ``nox -l``."""
+
+import os
+from pathlib import Path
+
+import nox
+
+nox.options.sessions = ["lint", "types", "tests"]
+nox.options.reuse_existing_virtualenvs = True
+nox.options.error_on_missing_interpreters = True
+
+# BLAS threads beside xdist workers only get in each other's way
+ENV = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def install(session: nox.Session, *requirements: str) -> None:
+    session.install("--constraint", "constraints.txt", *requirements)
+
+
+@nox.session
+def demo(session: nox.Session) -> None:
+    """Run the classical baseline on the embedded data set and show its tables."""
+    install(session, "-e", ".[open3d,xdist]")
+    session.run(
+        "pytest",
+        "--cpas-method=icp",
+        "--cpas-dataset=synthetic-tabletop",
+        "--cpas-dataset=synthetic-handheld",
+        "--cpas-require-golden",
+        "--numprocesses=2",
+        "--quiet",
+        *session.posargs,
+        env=ENV,
+    )
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """The project's own tests."""
+    install(session, "-e", ".[open3d,xdist]", "--group", "test")
+    session.run("pytest", "--numprocesses=2", *session.posargs, env=ENV)
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Style and common mistakes."""
+    install(session, "--group", "lint")
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    """Static types, strict."""
+    install(session, "-e", ".[open3d]", "--group", "types")
+    session.run("mypy")
+
+
+@nox.session
+def benchmarks(session: nox.Session) -> None:
+    """Ratios against peers, measured in the same run."""
+    install(session, "-e", ".[open3d,numba]", "--group", "benchmarks")
+    session.install("--no-deps", "cpas_toolbox==1.0.0")
+    for script in session.posargs or sorted(str(p) for p in Path("benchmarks").glob("bench_*.py")):
+        session.run("python", script, env=ENV)
+
+
+@nox.session
+def docs_figures(session: nox.Session) -> None:
+    """Draw the pictures of the documentation anew."""
+    install(session, "-e", ".", "--group", "docs")
+    session.run("python", "docs/figures/sample_count_convergence.py", env=os.environ | ENV)

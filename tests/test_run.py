@@ -1,0 +1,301 @@
+"""Whole runs of pytest with our options, in a folder of their own."""
+
+import shutil
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+import pytest_cpas.session  # noqa: F401 - runs in this process must share our modules
+
+RUN = ("-p", "no:dash", "-p", "no:cacheprovider")
+
+
+@pytest.fixture
+def cpas(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
+    """Run ``method`` on ``dataset`` of tests/tiny.py with further arguments."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    shutil.copy(Path(__file__).with_name("tiny.py"), pytester.path)
+    (pytester.path / "golden").mkdir()
+
+    def run(method: str, *args: str, dataset: str = "Tiny") -> pytest.RunResult:
+        names = ("--cpas-method", f"tiny:{method}", "--cpas-dataset", f"tiny:{dataset}")
+        start = pytester.runpytest_subprocess if "-n2" in args else pytester.runpytest_inprocess
+        return start(*RUN, *names, *args)
+
+    return run
+
+
+@pytest.fixture
+def recorded(cpas):
+    """The same, with a golden table of the perfect method."""
+    assert cpas("Perfect", "--snapshot-update").ret == 0
+    return cpas
+
+
+GRID = [(), ("-n2",), ("-n2", "--dist=worksteal"), ("--cpas-granularity=scene",)]
+
+
+@pytest.mark.parametrize("how", GRID, ids=" ".join)
+def test_table_without_a_golden_one(cpas, how):
+    result = cpas("Perfect", *how)
+    assert result.ret == 0
+    result.stdout.re_match_lines(
+        [
+            r"correct +10 deg, 2 cm +10 deg, 2 cm, F 0.6 +5 deg, 1 cm +5 deg, 1 cm, F 0.8",
+            r"bowl( +6/6 100.0 %){4}",
+            r"mug( +6/6 100.0 %){4}",
+            r"all( +12/12 100.0 %){4}",
+            "12 of 12 samples judged",
+            "golden: NOT CHECKED: there is no golden table of perfect on tiny",
+        ]
+    )
+    assert cpas("Perfect", "--cpas-require-golden", *how).ret == 1
+
+
+@pytest.mark.parametrize("how", GRID, ids=" ".join)
+def test_good_run_matches_its_golden_table(recorded, how):
+    result = recorded("Perfect", "--cpas-require-golden", *how)
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["golden: MATCHES (bowl, mug)"])
+
+
+@pytest.mark.parametrize("how", GRID, ids=" ".join)
+def test_regression_fails_and_is_named(recorded, pytester, how):
+    result = recorded("Biased", "--junitxml=out.xml", *how)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(
+        [
+            "REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
+            "      lost: scene_0/0001 (0 cm, 0 deg, F 1 -> 0 cm, 7 deg, F 1); *",
+            "  5 deg, 1 cm, F 0.8: 6 -> 0 of 6 correct",
+            "golden: MATCHES bowl: all 6 samples agree with the golden table",
+            "golden: REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
+            "FAILED cpas::golden[[]perfect-tiny-mug] - Failed: REGRESSED mug: 5 deg*",
+        ]
+    )
+    failures = {
+        case.get("name"): case.find("failure").get("message")
+        for case in ET.parse(pytester.path / "out.xml").iter("testcase")
+        if case.find("failure") is not None
+    }
+    assert list(failures) == ["golden[perfect-tiny-mug]"]
+    message = failures["golden[perfect-tiny-mug]"]
+    assert message.startswith("Failed: REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6")
+
+
+def test_improvement_does_not_pass_silently(cpas):
+    assert cpas("Biased", "--snapshot-update").ret == 0
+    result = cpas("Perfect")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["golden: IMPROVED mug: 5 deg, 1 cm: 0 -> 6 of 6 correct"])
+    assert cpas("Perfect", "--snapshot-update").ret == 0
+    assert cpas("Perfect").ret == 0
+
+
+def test_failed_prediction_is_not_correct(recorded):
+    result = recorded("Refuses")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(
+        [
+            "      lost: scene_0/0003 (* -> failed: too few points)",
+            "12 of 12 samples judged, 1 without an answer",
+            "golden: REGRESSED mug: 10 deg, 2 cm: 6 -> 5 of 6 correct",
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("args", "judged"),
+    [(("--cpas-limit=5",), 5), (("-k", "mug"), 6), (("--cpas-category=mug",), 6)],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_part_of_the_samples_is_compared_but_not_checked(recorded, args, judged):
+    result = recorded("Perfect", *args)
+    assert result.ret == 0
+    result.stdout.fnmatch_lines([f"{judged} of 12 samples judged", "golden: *NOT CHECKED*"])
+    assert recorded("Perfect", "--cpas-require-golden", *args).ret == 1
+    assert recorded("Biased", *args).ret == 1
+
+
+def test_stale_golden_is_not_a_regression(recorded):
+    for result in (recorded("Perfect", dataset="Renewed"), recorded("Perfect", "--cpas-seed=1")):
+        assert result.ret == 1
+        result.stdout.fnmatch_lines(["golden: STALE: *"])
+        result.stdout.no_fnmatch_line("*REGRESSED*")
+
+
+def test_frames_are_converted(recorded):
+    assert recorded("OtherFrames", "--cpas-require-golden").ret == 0
+
+
+def test_what_a_method_does_not_give_is_na(cpas):
+    result = cpas("OnlyPose")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(
+        ["scene_0/0000 *bowl*n/a*n/a", "all *12/12 100.0 %* n/a *12/12 100.0 %* n/a"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("method", "words", "how"),
+    [
+        ("GivesNan", "translation (metres): 1 of 3 values are NaN or infinite", ()),
+        ("LeftHanded", "rotation: determinant -1, a reflection (left-handed)", ()),
+        ("Scaled", "rotation: not orthonormal", ()),
+        ("NegativeExtents", "extents: [-0.1, -0.08, -0.12], expected three positive", ()),
+        ("ForgetsShape", "hypothesis: shape is None, but info.gives has 'shape'", ()),
+        ("Raises", "the method raised RuntimeError('the network exploded')", ()),
+        ("Raises", "the method raised RuntimeError('the network exploded')", ("-n2",)),
+    ],
+)
+def test_broken_answer_fails_its_sample_only(recorded, method, words, how):
+    result = recorded(method, *how)
+    assert result.ret == 1
+    result.assert_outcomes(passed=13, failed=1, skipped=1)
+    assert f"perfect on tiny, sample scene_1/0005 (mug): {words}" in result.stdout.str().replace(
+        "the answer breaks the contract: ", ""
+    )
+    result.stdout.fnmatch_lines(
+        [
+            "11 of 12 samples judged",
+            "*NOT CHECKED mug: 5 of 6 judged; the 5 judged agree with the golden table",
+        ]
+    )
+
+
+def test_wrong_number_of_answers(cpas):
+    result = cpas("WrongLength")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*predict: 2 of them, expected one Prediction for a batch of one*"])
+
+
+def test_damaged_listing_fails(cpas):
+    result = cpas("Perfect", dataset="Damaged")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["scene_9/0000_meta.txt: line 'x', expected*"])
+    assert cpas("Perfect", "--snapshot-update", dataset="Damaged").ret == 1
+
+
+def test_nothing_is_recorded_from_an_incomplete_or_broken_run(cpas, pytester):
+    for method, *args in (("Raises",), ("Perfect", "--cpas-limit=5"), ("Perfect", "-k", "0003")):
+        result = cpas(method, "--snapshot-update", *args)
+        assert result.ret == 1
+        result.stdout.fnmatch_lines(["golden: NOT RECORDED: *"])
+    assert not list((pytester.path / "golden").iterdir())
+
+
+def test_one_category_is_recorded_without_touching_the_others(recorded, pytester):
+    folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert recorded("Perfect", "--snapshot-update", "--cpas-category=mug").ret == 0
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert recorded("Biased", "--snapshot-update", "--cpas-category=mug").ret == 0
+    after = (folder / "samples.csv").read_text().splitlines()
+    changed = set(after) - set(before["samples.csv"].decode().splitlines())
+    assert len(changed) == 6
+    assert all(",mug," in line for line in changed)
+    assert recorded("Biased", "--cpas-require-golden").ret == 0
+    # cells that are kept must have been made under the same conditions
+    result = recorded("Perfect", "--snapshot-update", "--cpas-category=mug", "--cpas-seed=2")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["golden: NOT RECORDED: *record all categories together"])
+
+
+def test_method_that_knows_fewer_categories(recorded):
+    result = recorded("OnlyMugs")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(
+        ["missing: perfect does not know bowl: 6 samples left out", "6 of 6 samples judged"]
+    )
+    assert recorded("OnlyMugs", "--cpas-require-golden").ret == 1
+
+
+def test_interrupted_run_says_so(recorded, pytester):
+    result = recorded("Raises", "-x")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["5 of 12 samples judged", "golden: NOT CHECKED (bowl, mug)"])
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_named_tests_run_beside_the_suite(cpas, pytester, how):
+    pytester.makepyfile(test_own="def test_own(): pass", test_other="def test_other(): pass")
+    result = cpas("Perfect", "test_own.py", *how)
+    result.assert_outcomes(passed=14, skipped=1)
+    assert cpas("Perfect", *how).ret == 0  # without names: only the suite
+    cpas("Perfect", *how).assert_outcomes(passed=13, skipped=1)
+
+
+def test_collect_only_judges_nothing(recorded):
+    result = recorded("Perfect", "--collect-only", "-q")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["cpas::test_sample[[]perfect-tiny-bowl-scene_0/0000]"])
+    result.stdout.no_fnmatch_line("golden:*")
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("--cpas-method=icpp", "--cpas-dataset=real275"), "Did you mean 'icp'?"),
+        (("--cpas-method=icp", "--cpas-dataset=real276"), "Did you mean 'real275'?"),
+        (("--cpas-method=icp",), "--cpas-method needs --cpas-dataset NAME as well"),
+        (("--cpas-dataset=real275",), "--cpas-dataset needs --cpas-method NAME as well"),
+        (("--cpas-method=icp", "--cpas-dataset=real275"), "real_test.zip"),
+        (
+            ("--cpas-method=icp", "--cpas-dataset=real275", "--cpas-data=nowhere"),
+            "no real_test folder in",
+        ),
+        (("--cpas-method=tiny:NoInfo", "--cpas-dataset=tiny:Tiny"), "has no attribute info"),
+        (("--cpas-method=tiny:Missing", "--cpas-dataset=tiny:Tiny"), "cannot be imported"),
+        (("--cpas-predictions=nowhere.npz",), "nowhere.npz"),
+        (("--cpas-predictions=tiny.py",), "expected a .pkl, a folder of them, or an .npz"),
+        (
+            ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny", "--cpas-limit=0"),
+            "expected at least 1",
+        ),
+        (
+            ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny", "--cpas-category=mugg"),
+            "no samples of mugg",
+        ),
+    ],
+)
+def test_usage_errors(cpas, pytester, monkeypatch, args, words):
+    monkeypatch.delenv("CPAS_DATA", raising=False)
+    result = pytester.runpytest_inprocess(*RUN, *args)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert words in result.stderr.str()
+    assert "Traceback" not in result.stderr.str()
+
+
+def test_missing_weights_are_a_usage_error(pytester):
+    pytester.makepyfile(
+        needy="""
+        from pytest_cpas.types import Asset, MethodInfo
+        class Needy:
+            info = MethodInfo("needy", ("mug",), frozenset(), frozenset(), "MIT",
+                              assets=(Asset("needy/w.pt", "https://example.org/w", "CC0"),))
+        """,
+    )
+    shutil.copy(Path(__file__).with_name("tiny.py"), pytester.path)
+    args = ("--cpas-method=needy:Needy", "--cpas-dataset=tiny:Tiny", "--cpas-weights=w")
+    result = pytester.runpytest_inprocess(*RUN, *args)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    for words in ("w/needy/w.pt does not exist", "https://example.org/w (CC0)", "--cpas-weights"):
+        assert words in result.stderr.str()
+
+
+def test_golden_table_that_was_edited_is_refused(recorded, pytester):
+    folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
+    table = folder / "table.toml"
+    table.write_text(table.read_text().replace('"all | 10 deg, 2 cm" = "12/12"', '"x" = "1/2"'))
+    result = recorded("Perfect")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["golden: DAMAGED: *are not the sums of samples.csv*"])
+
+
+def test_golden_folder_can_be_named(recorded, pytester):
+    (pytester.path / "golden").rename(pytester.path / "elsewhere")
+    assert recorded("Perfect", "--cpas-require-golden").ret == 1
+    assert recorded("Perfect", "--cpas-require-golden", "--cpas-golden=elsewhere").ret == 0
+    pytester.makeini("[pytest]\ncpas_golden = elsewhere")
+    assert recorded("Perfect", "--cpas-require-golden").ret == 0

@@ -1,0 +1,185 @@
+"""A data set and methods for the harness's own tests; copied beside the run that uses them.
+
+The first pixel's colour tells which sample an image is, so that a method can know the truth and
+be wrong in exactly the way that a test wants.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_cpas.types import (
+    Camera,
+    GroundTruth,
+    Hypothesis,
+    MethodInfo,
+    Observation,
+    Pose,
+    Prediction,
+    Sample,
+    SampleRef,
+    Symmetry,
+)
+
+CAMERA = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
+COUNT = 12
+CATEGORIES = ("bowl", "mug")
+EXTENTS = np.array([0.10, 0.08, 0.12])
+
+
+POINTS = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 3)) * EXTENTS
+
+
+def truth(index: int) -> GroundTruth:
+    rotation = Rotation.random(rng=np.random.default_rng(index)).as_matrix()
+    symmetry = Symmetry.about([0, 1, 0]) if index % 2 == 0 else Symmetry.none()
+    return GroundTruth(Pose(rotation, [0.01 * index, 0, 0.8]), EXTENTS, symmetry, POINTS)
+
+
+class Tiny:
+    name = "tiny"
+    digest = "tiny-1"
+    missing = ()
+    damaged = ()
+
+    def __init__(self, data_dir: Path | None) -> None:
+        self.samples = [
+            SampleRef(f"scene_{i // 4}/{i:04d}", CATEGORIES[i % 2], f"scene_{i // 4}")
+            for i in range(COUNT)
+        ]
+
+    def load(self, ref: SampleRef) -> Sample:
+        index = int(ref.id.split("/")[1])
+        rgb = np.zeros((6, 8, 3), np.float32)
+        rgb[0, 0, 0] = index / 255
+        depth = np.full((6, 8), 0.8, np.float32)
+        observation = Observation(ref.category, rgb, depth, depth > 0, CAMERA)
+        return Sample(ref, observation, truth(index))
+
+
+class Renewed(Tiny):
+    digest = "tiny-2"
+
+
+class Damaged(Tiny):
+    damaged = ("scene_9/0000_meta.txt: line 'x', expected 'mask_id class_id model'",)
+
+
+class Perfect:
+    info = MethodInfo(
+        "perfect",
+        categories=CATEGORIES,
+        needs=frozenset({"rgb"}),
+        gives=frozenset({"extents", "shape"}),
+        licence="MIT",
+    )
+
+    def load(self, assets: Path | None, device: str) -> None:
+        self.loaded = True
+
+    def predict(self, batch: list[Observation], seed: int) -> list[Prediction]:
+        assert self.loaded
+        return [self.answer(round(float(o.rgb[0, 0, 0]) * 255)) for o in batch]
+
+    def answer(self, index: int) -> Prediction:
+        true = truth(index)
+        return Prediction(
+            (Hypothesis(true.pose.rotation, true.pose.translation, EXTENTS, points=POINTS),)
+        )
+
+
+class Biased(Perfect):
+    """7 degrees off about z, in mugs alone."""
+
+    def answer(self, index: int) -> Prediction:
+        true = truth(index)
+        bias = Rotation.from_euler("z", 7.0 if index % 2 else 0.0, degrees=True).as_matrix()
+        rotation = true.pose.rotation @ bias
+        return Prediction((Hypothesis(rotation, true.pose.translation, EXTENTS, points=POINTS),))
+
+
+class Refuses(Perfect):
+    def answer(self, index: int) -> Prediction:
+        return Prediction.failed("too few points") if index == 3 else super().answer(index)
+
+
+class OnlyMugs(Perfect):
+    info = MethodInfo("perfect", ("mug",), frozenset(), frozenset({"extents", "shape"}), "MIT")
+
+
+class OnlyPose(Perfect):
+    info = MethodInfo("only-pose", CATEGORIES, frozenset(), frozenset(), "MIT")
+
+    def answer(self, index: int) -> Prediction:
+        pose = truth(index).pose
+        return Prediction((Hypothesis(pose.rotation, pose.translation),))
+
+
+class OtherFrames(Perfect):
+    """The same answers in OpenGL camera axes and NOCS object axes."""
+
+    info = MethodInfo(
+        "perfect",
+        CATEGORIES,
+        frozenset(),
+        frozenset({"extents", "shape"}),
+        "MIT",
+        object_frame="nocs",
+        camera_frame="opengl",
+    )
+
+    def answer(self, index: int) -> Prediction:
+        pose = truth(index).pose
+        gl = np.diag([1.0, -1.0, -1.0])
+        # scalar last; turns ShapeNet coordinates into NOCS ones
+        nocs = Rotation.from_quat([0, -np.sqrt(0.5), 0, np.sqrt(0.5)]).as_matrix()
+        rotation, translation = gl @ pose.rotation @ nocs.T, gl @ pose.translation
+        points = POINTS @ nocs.T
+        return Prediction((Hypothesis(rotation, translation, EXTENTS[[2, 1, 0]], points=points),))
+
+
+class Broken(Perfect):
+    """Breaks the contract at sample 5 in the way its subclass says."""
+
+    def answer(self, index: int) -> Prediction:
+        return self.broken(index) if index == 5 else super().answer(index)
+
+
+class GivesNan(Broken):
+    def broken(self, index: int) -> Prediction:
+        return Prediction((Hypothesis(np.eye(3), [np.nan, 0, 1], EXTENTS, points=POINTS),))
+
+
+class LeftHanded(Broken):
+    def broken(self, index: int) -> Prediction:
+        return Prediction((Hypothesis(np.diag([1, 1, -1]), [0, 0, 1], EXTENTS, points=POINTS),))
+
+
+class Scaled(Broken):
+    def broken(self, index: int) -> Prediction:
+        return Prediction((Hypothesis(0.2 * np.eye(3), [0, 0, 1], EXTENTS, points=POINTS),))
+
+
+class NegativeExtents(Broken):
+    def broken(self, index: int) -> Prediction:
+        return Prediction((Hypothesis(np.eye(3), [0, 0, 1], -EXTENTS, points=POINTS),))
+
+
+class ForgetsShape(Broken):
+    def broken(self, index: int) -> Prediction:
+        return Prediction((Hypothesis(np.eye(3), [0, 0, 1], EXTENTS),))
+
+
+class Raises(Broken):
+    def broken(self, index: int) -> Prediction:
+        raise RuntimeError("the network exploded")
+
+
+class WrongLength(Perfect):
+    def predict(self, batch: list[Observation], seed: int) -> list[Prediction]:
+        return super().predict(batch, seed) * 2
+
+
+class NoInfo:
+    pass
