@@ -211,7 +211,7 @@ def _free_place(
 ) -> Array:
     """A place (x, z) on the table that keeps 1 cm from all others."""
     for attempt in range(10_000):
-        spread = 0.2 + 0.0005 * attempt  # a crowded table is used further out
+        spread = 0.1 + 0.0003 * attempt  # a crowded table is used further out
         place = np.round(rng.uniform(-spread, spread, 2) * np.array([1.4, 1.0]), 4)
         if all(np.sum((place - p) ** 2) > (radius + r + 0.01) ** 2 for p, r in placed):
             return place

@@ -66,17 +66,17 @@ def render(objects: Sequence[tuple[Mesh, Pose]], camera: Camera) -> Rendering:
     offset = _dot(normal, corners[:, 0])
     low, high = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
     seen = normal[triangle]
-    towards = _dot(seen, camera_rays(camera)[hit])
+    towards = _dot(seen, camera_rays(camera).reshape(-1, 3)[hit])
     with np.errstate(divide="ignore", invalid="ignore"):
         z = offset[triangle] / towards
     # a ray along the plane has no depth there, and rounding can push one off a triangle's edge
     z = np.clip(np.where(np.isfinite(z), z, low[triangle]), low[triangle], high[triangle])
 
     instance = np.searchsorted(first, np.arange(len(corners)), side="right") - 1
-    depth[hit] = z
-    normals[hit] = np.where(towards > 0, -1.0, 1.0)[:, None] * seen
-    instances[hit] = instance[triangle]
-    triangles[hit] = triangle - first[instances[hit]]
+    depth.flat[hit] = z
+    normals.reshape(-1, 3)[hit] = np.where(towards > 0, -1.0, 1.0)[:, None] * seen
+    instances.flat[hit] = instance[triangle]
+    triangles.flat[hit] = triangle - first[instance[triangle]]
     return Rendering(depth, instances, triangles, normals)
 
 
@@ -88,15 +88,15 @@ def _corners(mesh: Mesh, pose: Pose) -> Array:
     return moved[mesh.triangles]
 
 
-def _cast(corners: Array, camera: Camera) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Pixels (H, W) whose ray meets a triangle, and these triangles in row-major order."""
+def _cast(corners: Array, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Flat indices of the pixels whose ray meets a triangle, and these triangles."""
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     vertices = corners.reshape(-1, 3).astype(np.float32)
     scene.add_triangles(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3))
     answer = scene.cast_rays(o3d.core.Tensor(_float_rays(camera)))
-    hit = np.isfinite(answer["t_hit"].numpy())
-    return hit, answer["primitive_ids"].numpy()[hit].astype(np.int64)
+    hit = np.flatnonzero(np.isfinite(answer["t_hit"].numpy()))
+    return hit, answer["primitive_ids"].numpy().reshape(-1)[hit].astype(np.int64)
 
 
 @functools.lru_cache(maxsize=4)

@@ -186,32 +186,37 @@ def _capture(
             index
             for index, item in enumerate(items)
             if item.class_id != SCENERY
-            and _well_seen(item, (seen.instance == index) & (depth > 0), camera)
+            and _well_seen(
+                item, int(np.count_nonzero((seen.instance == index) & (depth > 0))), camera
+            )
         ]
         if sum(items[index].class_id > 0 for index in listed) >= scene.wanted:
             break
     else:
         raise AssertionError(f"{scene.wanted} objects are never seen at once")
     first = next(i for i, item in enumerate(items) if item.class_id != SCENERY)
-    mask = np.full(depth.shape, 255, dtype=np.uint8)
-    coord = np.full((*depth.shape, 3), 255, dtype=np.uint8)
-    colour = np.zeros((*depth.shape, 3), dtype=np.uint8)
+    rays = camera_rays(camera).reshape(-1, 3)
+    mask = np.full(depth.size, 255, dtype=np.uint8)
+    coord = np.full((depth.size, 3), 255, dtype=np.uint8)
+    colour = np.zeros((depth.size, 3), dtype=np.uint8)
     light = rng.normal(size=3) + np.array([0.0, -2.0, -2.0])  # from above, behind the camera
     light /= np.sqrt(np.sum(light**2))
     for index, item in enumerate(items):
-        pixels = seen.instance == index
-        points = _object_points(item, seen, pixels, camera)
-        colour[pixels] = _shade(item, points, seen.normal[pixels], light)
+        pixels = np.flatnonzero(seen.instance == index)
+        points = _object_points(item, rays[pixels] * seen.depth.reshape(-1, 1)[pixels])
+        colour[pixels] = _shade(item, points, seen.normal.reshape(-1, 3)[pixels], light)
         if index in listed:
             mask[pixels] = index - first + 1
             coord[pixels] = _nocs_colours(item, points)
     objects = {index - first + 1: items[index] for index in listed}
-    return _Frame(colour, depth, mask, coord, objects)
+    image = (*depth.shape, 3)
+    return _Frame(
+        colour.reshape(image), depth, mask.reshape(depth.shape), coord.reshape(image), objects
+    )
 
 
-def _well_seen(item: Item, pixels: NDArray[np.bool_], camera: Camera) -> bool:
-    """Whether enough of an object is seen, also of what its box in the image spans."""
-    count = np.count_nonzero(pixels)
+def _well_seen(item: Item, count: int, camera: Camera) -> bool:
+    """Whether ``count`` pixels are enough to see, also of what an object's box spans."""
     if count < _MIN_PIXELS:
         return False
     corners = camera.project(item.pose.apply(item.mesh.vertices))
@@ -240,9 +245,9 @@ def measure(seen: Rendering, camera: Camera, rng: np.random.Generator) -> NDArra
     return np.where(lost | (z == 0), 0, millimetres).astype(np.uint16)
 
 
-def _object_points(item: Item, seen: Rendering, pixels: NDArray[np.bool_], camera: Camera) -> Array:
-    """The object-frame points (N, 3) that pixels show."""
-    moved = camera_rays(camera)[pixels] * seen.depth[pixels][:, None] - item.pose.translation
+def _object_points(item: Item, camera_points: Array) -> Array:
+    """Camera-frame points (N, 3) in the frame of the object."""
+    moved = camera_points - item.pose.translation
     r = item.pose.rotation
     points: Array = moved[:, :1] * r[0] + moved[:, 1:2] * r[1] + moved[:, 2:] * r[2]
     return points
@@ -310,7 +315,7 @@ class _Writer:
         folder.mkdir(parents=True, exist_ok=True)
         for kind in ("color", "depth", "mask", "coord"):
             pixels = getattr(frame, "colour" if kind == "color" else kind)
-            Image.fromarray(pixels).save(folder / f"{number:04d}_{kind}.png", compress_level=3)
+            Image.fromarray(pixels).save(folder / f"{number:04d}_{kind}.png", compress_level=2)
             self._digest.update(pixels.astype(pixels.dtype.newbyteorder("<")).tobytes())
         lines = [f"{i} {item.class_id} {item.model}" for i, item in frame.objects.items()]
         self._write_text(folder / f"{number:04d}_meta.txt", lines)
