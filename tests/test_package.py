@@ -1,0 +1,88 @@
+"""What installing the plugin does to people who do not use it, and what it ships."""
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+HEAVY = ("numpy", "scipy", "torch", "open3d", "trimesh", "PIL")
+ROOT = Path(__file__).parents[1]
+
+
+def run_python(code: str, **env: str) -> str:
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | env,
+    ).stdout
+
+
+PROBE = f"""
+import sys, pytest
+class Probe:
+    def pytest_sessionfinish(self, session):
+        print("HEAVY:", sorted(set({HEAVY}) & set(sys.modules)))
+code = pytest.main([{{args}}], plugins=[Probe()])
+"""
+
+
+@pytest.mark.parametrize("autoload", ["", "1"])
+def test_plugin_start_imports_nothing_heavy(tmp_path, autoload):
+    """Alone, and with all plugins that our own dependencies bring."""
+    (tmp_path / "test_x.py").write_text("def test_x(): pass")
+    args = f"'-p', 'no:cacheprovider', '--rootdir', {str(tmp_path)!r}, {str(tmp_path)!r}"
+    args += ", '-p', 'pytest_cpas.plugin'" if autoload else ", '-p', 'no:dash'"
+    out = run_python(PROBE.format(args=args), PYTEST_DISABLE_PLUGIN_AUTOLOAD=autoload)
+    assert "1 passed" in out
+    assert "HEAVY: []" in out
+
+
+def test_list_imports_nothing_heavy():
+    code = (
+        "import sys, pytest; code = pytest.main(['--cpas-list', '-p', 'no:dash']); "
+        f"print('HEAVY:', sorted(set({HEAVY}) & set(sys.modules)), code)"
+    )
+    out = run_python(code)
+    assert "HEAVY: [] 0" in out
+    for name, value in (
+        ("icp", "method_adapters.icp:Icp"),
+        ("real275", "pytest_cpas.datasets.nocs:Real275"),
+    ):
+        assert any(line.split()[:2] == [name, value] for line in out.splitlines())
+
+
+def test_metrics_import_without_pytest_and_heavy_extras():
+    forbidden = ("pytest", "torch", "open3d", "trimesh")
+    code = f"import sys, pytest_cpas.metrics; print(sorted(set({forbidden}) & set(sys.modules)))"
+    assert run_python(code).strip() == "[]"
+
+
+def test_wheel_holds_everything(tmp_path):
+    """Type marker, assets, suite, golden tables; no tests and no benchmark."""
+    subprocess.run(
+        [sys.executable, "-m", "build", "--wheel", "--outdir", str(tmp_path), str(ROOT)],
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {
+        "pytest_cpas/py.typed",
+        "pytest_cpas/suite/test_samples.py",
+        "pytest_cpas/golden/recorded/icp/synthetic-tabletop/table.toml",
+        "pytest_cpas/golden/recorded/icp/synthetic-handheld/samples.csv",
+        "method_adapters/py.typed",
+        "method_adapters/icp_priors.npz",
+    } <= names
+    assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "golden/"))]
+
+
+def test_version_is_the_distributions():
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    assert f"## {importlib.metadata.version('pytest-cpas')}" in changelog
