@@ -350,7 +350,8 @@ def _compare_category(
         }
         if not any(changed.values()):
             continue
-        fell, rose = fell or after < before, rose or after > before
+        lost, gained = len(changed["lost"]), len(changed["gained"])
+        fell, rose = fell or lost > gained, rose or gained > lost
         lines.append(f"{threshold.label}: {before} -> {after} of {len(both)} correct")
         lines += [f"    {what}: {_named(k, old, judged)}" for what, k in changed.items() if k]
     if extra:

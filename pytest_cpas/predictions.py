@@ -81,9 +81,9 @@ def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
 
 def _read_npz(path: Path) -> Iterator[tuple[str, Frame]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise ContractError(f"{path}: not a readable .npz ({error})") from error
     absent = sorted({"frame", "gt_offset", "pred_offset", *_SHAPES} - set(arrays))
     if absent:
@@ -159,7 +159,7 @@ def assign_detections(frame: Frame) -> NDArray[np.int64]:
 
 def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Array]:
     """Pose and extents (3,), metres, of a (4, 4) similarity and a box relative to its scale."""
-    determinant = float(np.linalg.det(scaled[:3, :3]))
+    determinant = float(np.linalg.det(scaled[:3, :3])) if np.isfinite(scaled).all() else np.nan
     if not determinant > 0:
         raise ContractError(
             f"the pose has determinant {determinant:g}, expected the cube of a positive scale"

@@ -167,7 +167,9 @@ def test_broken_answer_fails_its_sample_only(recorded, method, words, how):
 def test_wrong_number_of_answers(cpas):
     result = cpas("WrongLength")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["*predict: 2 of them, expected one Prediction for a batch of one*"])
+    result.stdout.fnmatch_lines(
+        ["*predict: 2 of them, expected one Prediction for a batch of one*"]
+    )
 
 
 def test_damaged_listing_fails(cpas):

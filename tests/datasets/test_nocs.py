@@ -1,0 +1,253 @@
+"""The loader of REAL275: a small tree of our own in the published layout, whole and damaged."""
+
+import os
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from pytest_cpas.datasets.nocs import Real275
+from pytest_cpas.metrics.surfaces import sample_surface
+from pytest_cpas.types import ContractError
+
+# scalar last; turns ShapeNet coordinates into NOCS ones (FACTS of the data set's publication)
+NOCS = Rotation.from_quat([0, -np.sqrt(0.5), 0, np.sqrt(0.5)])
+TURN = Rotation.from_rotvec([2.0, 0.3, -0.4])
+EXTENTS_NOCS = np.array([0.1, 0.2, 0.3])
+FACES = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+
+
+def write_mesh(path: Path) -> None:
+    corners = [
+        np.array([x, y, z]) * EXTENTS_NOCS / 2 for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
+    ]
+    lines = ["v {} {} {}".format(*corner) for corner in corners]
+    lines += [f"f {a} {b} {c}\nf {a} {c} {d}" for a, b, c, d in FACES]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """scene_1/0000 and scene_1/0001, with a bowl (id 1), a distractor (2) and a mug (5) each."""
+    scene = tmp_path / "real_test" / "scene_1"
+    truths = tmp_path / "gts" / "real_test"
+    models = tmp_path / "obj_models" / "real_test"
+    for folder in (scene, truths, models, tmp_path / "fixed_real_test_obj_models"):
+        folder.mkdir(parents=True)
+    mask = np.full((480, 640), 255, np.uint8)
+    mask[100:200, 100:200], mask[100:200, 300:400], mask[300:400, 100:200] = 1, 2, 5
+    depth = np.full((480, 640), 1234, np.uint16)
+    depth[:50] = 0
+    scaled = np.eye(4)
+    diagonal = np.linalg.norm(EXTENTS_NOCS)
+    scaled[:3, :3] = diagonal * TURN.as_matrix()
+    poses = np.stack([scaled, scaled])
+    poses[:, :3, 3] = [[0.1, 0.2, 0.9], [-0.1, 0.0, 1.1]]
+    for number in ("0000", "0001"):
+        Image.fromarray(np.full((480, 640, 3), 51, np.uint8)).save(scene / f"{number}_color.png")
+        Image.fromarray(depth).save(scene / f"{number}_depth.png")
+        Image.fromarray(mask).save(scene / f"{number}_mask.png")
+        (scene / f"{number}_meta.txt").write_text("5 6 mug_a\n2 0 thing\n1 2 bowl_b\n")
+        name = f"results_real_test_scene_1_{number}.pkl"
+        (truths / name).write_bytes(pickle.dumps({"gt_RTs": poses}, protocol=3))
+    for model in ("mug_a", "bowl_b"):
+        write_mesh(tmp_path / "fixed_real_test_obj_models" / f"{model}.obj")
+        (models / f"{model}.txt").write_text("\n".join(map(str, EXTENTS_NOCS)))
+    return tmp_path
+
+
+def test_samples_are_listed_and_read(tree):
+    data = Real275(tree)
+    assert [(s.id, s.category, s.scene) for s in data.samples] == [
+        ("scene_1/0000/1", "bowl", "scene_1"),
+        ("scene_1/0000/5", "mug", "scene_1"),
+        ("scene_1/0001/1", "bowl", "scene_1"),
+        ("scene_1/0001/5", "mug", "scene_1"),
+    ]
+    assert (data.missing, data.damaged) == ([], [])
+    sample = data.load(data.samples[1])
+    observed, truth = sample.observation, sample.truth
+    assert observed.mask.sum() == 100 * 100
+    assert observed.mask[300:400, 100:200].all()
+    assert observed.depth[60, 0] == np.float32(1.234)
+    assert observed.depth[0, 0] == 0
+    np.testing.assert_allclose(observed.rgb, 0.2)
+    # the second pose belongs to mask id 5: distractors have none
+    np.testing.assert_allclose(truth.pose.translation, [-0.1, 0, 1.1])
+    np.testing.assert_allclose(truth.pose.rotation, (TURN * NOCS).as_matrix(), atol=1e-12)
+    # NOCS x is ShapeNet z
+    np.testing.assert_allclose(truth.extents, EXTENTS_NOCS[[2, 1, 0]])
+    low, high = truth.surface.bounds
+    np.testing.assert_allclose(high - low, truth.extents)
+    assert truth.symmetry.axis is None
+    np.testing.assert_array_equal(data.load(data.samples[0]).truth.symmetry.axis, [0, 1, 0])
+
+
+def test_parent_folder_is_accepted(tree):
+    (tree / "all").mkdir()
+    os.symlink(tree, tree / "all" / "real275", target_is_directory=True)
+    assert len(Real275(tree / "all").samples) == 4
+
+
+def test_digest_tells_contents_apart(tree):
+    first = Real275(tree).digest
+    assert Real275(tree).digest == first
+    truth = tree / "gts/real_test/results_real_test_scene_1_0000.pkl"
+    poses = pickle.loads(truth.read_bytes())["gt_RTs"]
+    poses[0, 0, 3] += 1e-6
+    truth.write_bytes(pickle.dumps({"gt_RTs": poses}, protocol=3))
+    second = Real275(tree).digest
+    mesh = tree / "fixed_real_test_obj_models/mug_a.obj"
+    mesh.write_text(mesh.read_text().replace("0.05", "0.051"))
+    assert len({first, second, Real275(tree).digest}) == 3
+
+
+@pytest.mark.parametrize(
+    ("remove", "kind"),
+    [
+        ("real_test/scene_1/0001_color.png", "color.png"),
+        ("real_test/scene_1/0001_depth.png", "depth.png"),
+        ("real_test/scene_1/0001_mask.png", "mask.png"),
+        ("real_test/scene_1/0001_meta.txt", "meta.txt"),
+        ("gts/real_test/results_real_test_scene_1_0001.pkl", "ground truth"),
+    ],
+)
+def test_missing_file_leaves_its_frame_out_and_is_named_once(tree, remove, kind):
+    (tree / remove).unlink()
+    data = Real275(tree)
+    assert [s.id for s in data.samples] == ["scene_1/0000/1", "scene_1/0000/5"]
+    assert len(data.missing) == 1
+    assert data.missing[0].startswith(f"1 frames without {kind}")
+    assert "scene_1/0001" in data.missing[0]
+    assert data.damaged == []
+
+
+def test_missing_mesh(tree):
+    (tree / "fixed_real_test_obj_models/mug_a.obj").unlink()
+    data = Real275(tree)
+    assert data.missing == ["mesh mug_a.obj: shape metrics of 2 samples are n/a"]
+    truth = data.load(data.samples[1]).truth
+    assert truth.surface is None
+    np.testing.assert_allclose(truth.extents, EXTENTS_NOCS[[2, 1, 0]])
+    (tree / "obj_models/real_test/mug_a.txt").unlink()
+    data = Real275(tree)
+    assert data.missing == ["mesh mug_a.obj and .txt: 2 samples left out"]
+    assert {s.category for s in data.samples} == {"bowl"}
+
+
+def test_original_meshes_are_used_with_a_word(tree):
+    mesh = tree / "fixed_real_test_obj_models/mug_a.obj"
+    mesh.rename(tree / "obj_models/real_test/mug_a.obj")
+    (line,) = Real275(tree).missing
+    assert "fixed_real_test_obj_models/ of mug_a" in line
+    assert "bottoms are missing" in line
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def save(pixels: np.ndarray) -> Callable[[Path], None]:
+    return lambda path: Image.fromarray(pixels).save(path)
+
+
+def dump(content: object) -> Callable[[Path], None]:
+    return lambda path: path.write_bytes(pickle.dumps(content, protocol=4))
+
+
+SCENE = "real_test/scene_1/0000"
+TRUTH = "gts/real_test/results_real_test_scene_1_0000.pkl"
+MESH = "fixed_real_test_obj_models/mug_a.obj"
+MIRROR = np.diag([1.0, 1, -1, 1])[None].repeat(2, 0)
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "words"),
+    [
+        (f"{SCENE}_color.png", truncate, "not a readable image"),
+        (f"{SCENE}_depth.png", truncate, "not a readable image"),
+        (f"{SCENE}_mask.png", truncate, "not a readable image"),
+        (f"{SCENE}_color.png", lambda p: p.write_bytes(b""), "not a readable image"),
+        (f"{SCENE}_color.png", lambda p: p.write_text("<html>"), "not a readable image"),
+        (f"{SCENE}_color.png", save(np.zeros((480, 640), np.uint8)), "mode is L, expected RGB"),
+        (f"{SCENE}_depth.png", save(np.ones((480, 640), np.uint8)), "mode is L, expected I;16"),
+        (f"{SCENE}_depth.png", save(np.ones((240, 320), np.uint16)), r"depth: shape \(240, 320\)"),
+        (f"{SCENE}_mask.png", save(np.ones((240, 320), np.uint8)), r"mask: shape \(240, 320\)"),
+        (f"{SCENE}_mask.png", save(np.full((480, 640), 255, np.uint8)), "mask: empty"),
+        (f"{SCENE}_mask.png", save(np.ones((480, 640), np.uint16)), "expected L"),
+        (TRUTH, truncate, "not a readable pickle"),
+        (TRUTH, dump([]), "holds a list"),
+        (TRUTH, dump({}), r"gt_RTs is not an array \(n, 4, 4\)"),
+        (TRUTH, dump({"gt_RTs": np.zeros((0, 4, 4))}), "0 poses, but the meta file lists more"),
+        (TRUTH, dump({"gt_RTs": np.zeros((2, 4, 4))}), "determinant 0"),
+        (TRUTH, dump({"gt_RTs": np.full((2, 4, 4), np.nan)}), "finite numbers"),
+        (TRUTH, dump({"gt_RTs": MIRROR}), "determinant -1"),
+        (TRUTH, dump({"gt_RTs": np.diag([1.0, 2, 3, 1])[None].repeat(2, 0)}), "not orthonormal"),
+        (TRUTH, dump({"gt_RTs": os.getcwd}), "the pickle names posix.getcwd"),
+        (MESH, lambda p: p.write_text(""), "not a readable mesh"),
+        (MESH, lambda p: p.write_text("v 0 0 0\nf 1 2 3\n"), "not a readable mesh"),
+        (MESH, lambda p: p.write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "NaN"),
+    ],
+)
+def test_damage_is_named_and_the_other_samples_still_load(tree, file, damage, words):
+    damage(tree / file)
+    data = Real275(tree)
+    assert len(data.samples) == 4
+    with pytest.raises(ContractError, match=words) as caught:
+        data.load(data.samples[1])
+    assert len(str(caught.value).splitlines()) == 1
+    data.load(data.samples[2])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("5 6\n", "expected 'mask_id class_id model'"),
+        ("a b c\n", "expected 'mask_id class_id model'"),
+        ("5 7 mug_a\n", "a class id of 0 to 6"),
+        ("255 6 mug_a\n", "a mask id of 0 to 254"),
+        ("5 6 mug_a\n5 2 bowl_b\n", "a mask id occurs twice"),
+        ("\x00\xff\x00", "expected 'mask_id"),
+    ],
+)
+def test_damaged_meta_is_reported_as_damage(tree, text, words):
+    (tree / f"{SCENE}_meta.txt").write_text(text, encoding="latin1")
+    data = Real275(tree)
+    assert [s.id for s in data.samples] == ["scene_1/0001/1", "scene_1/0001/5"]
+    (line,) = data.damaged
+    assert words in line
+    assert "scene_1/0000" in line
+
+
+def test_damaged_extents_file(tree):
+    (tree / MESH).unlink()
+    (tree / "obj_models/real_test/mug_a.txt").write_text("0.1 0.2")
+    data = Real275(tree)
+    with pytest.raises(ContractError, match=r"mug_a\.txt: expected three extents"):
+        data.load(data.samples[1])
+
+
+def test_without_a_folder_the_error_says_what_to_fetch(tmp_path):
+    for folder in (None, tmp_path):
+        with pytest.raises(FileNotFoundError, match=r"(?s)gts\.zip.*GB.*--cpas-data DIR"):
+            Real275(folder)
+
+
+def test_real_frame(test_data):
+    """The published frame: meshes at the loaded poses lie on the measured depth."""
+    data = Real275(test_data)
+    assert [s.category for s in data.samples] == ["bowl", "can", "camera", "mug", "laptop"]
+    assert any("laptop_air_xin_norm.obj" in line for line in data.missing)
+    for ref in data.samples[:4]:
+        sample = data.load(ref)
+        observed, truth = sample.observation, sample.truth
+        seen = observed.camera.back_project(observed.depth, observed.mask)
+        posed = truth.pose.apply(sample_surface(truth.surface, 20_000, 0))
+        median = np.median(cKDTree(posed).query(seen)[0])
+        # the can's label reflects the infrared pattern
+        assert median < (0.015 if ref.category == "can" else 0.006), ref
