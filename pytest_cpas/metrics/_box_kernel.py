@@ -59,49 +59,56 @@ def clip_pairs(
     # a convex polygon gains at most one vertex per plane; rounding may add a few more
     buffer = np.empty((2, 64, 3))
     edges = np.empty((3, 3))
-    above = np.empty(3)
-    below = np.empty(3)
+    high = np.empty(3)
+    low = np.empty(3)
     for n in range(len(offset)):
         apart = False
         for i in range(3):
-            reach = 0.0
+            reach = half_b[n, i]
             for j in range(3):
                 edges[i, j] = rotation[n, i, j] * half_a[n, j]
                 reach += abs(edges[i, j])
-            above[i] = reach + offset[n, i] - half_b[n, i]
-            below[i] = reach - offset[n, i] - half_b[n, i]
-            if min(above[i], below[i]) <= -2 * half_b[n, i]:
-                apart = True
+            apart |= abs(offset[n, i]) >= reach
         if apart:
             continue
         total = 0.0
         for face in range(6):
+            # the face's highest and lowest coordinates beyond B's planes
+            normal = face // 2
+            side = 1.0 - 2.0 * (face % 2)
+            u = (normal + 1) % 3
+            v = (normal + 2) % 3
+            for i in range(3):
+                middle = offset[n, i] + side * edges[i, normal]
+                reach = abs(edges[i, u]) + abs(edges[i, v])
+                high[i] = middle + reach - half_b[n, i]
+                low[i] = -half_b[n, i] - middle + reach
+            if min(high[0], low[0]) < -2 * half_b[n, 0] or min(high[1], low[1]) < -2 * half_b[n, 1]:
+                continue  # beside B: nothing of it is above, below or inside
             for k in range(4):
+                s, t = face_corners[k, face, u], face_corners[k, face, v]
                 for i in range(3):
                     buffer[0, k, i] = (
-                        offset[n, i]
-                        + edges[i, 0] * face_corners[k, face, 0]
-                        + edges[i, 1] * face_corners[k, face, 1]
-                        + edges[i, 2] * face_corners[k, face, 2]
+                        offset[n, i] + side * edges[i, normal] + s * edges[i, u] + t * edges[i, v]
                     )
             source = 0
             count = 4
             for axis in range(2):
-                if above[axis] > 0 and count > 0:
+                if high[axis] > 0 and count > 0:
                     count = _clip(buffer, source, count, axis, 1.0, half_b[n, axis])
                     source = 1 - source
-                if below[axis] > 0 and count > 0:
+                if low[axis] > 0 and count > 0:
                     count = _clip(buffer, source, count, axis, -1.0, half_b[n, axis])
                     source = 1 - source
             if count == 0:
                 continue
             column_area = _projected_area(buffer, source, count)
             below_area = column_area
-            if above[2] > 0:
+            if high[2] > 0:
                 count = _clip(buffer, source, count, 2, 1.0, half_b[n, 2])
                 source = 1 - source
                 below_area = _projected_area(buffer, source, count)
-            if below[2] > 0 and count > 0:
+            if low[2] > 0 and count > 0:
                 count = _clip(buffer, source, count, 2, -1.0, half_b[n, 2])
                 source = 1 - source
             inside_area = 0.0
