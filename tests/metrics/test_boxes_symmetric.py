@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pytest_cpas.metrics import _box_ball
 from pytest_cpas.metrics.boxes import oriented_iou, symmetric_iou
 from pytest_cpas.types import Symmetry
 
@@ -191,6 +192,18 @@ def test_a_sphere_beats_every_sampled_rotation() -> None:
         sampled = oriented_iou(*a, b[0] @ turns, b[1], b[2]).max()
         assert sampled <= value + 1e-12
         assert value < sampled + 0.05
+
+
+def test_a_sphere_is_searched_as_well_as_from_more_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    # boxes that are nearly cubes have 24 maxima of nearly the same height
+    rng = np.random.default_rng(13)
+    side = rng.uniform(0.1, 0.3, (5, 1)) * np.ones(3)
+    a = (Rotation.random(5, rng=rng).as_matrix(), rng.normal(size=(5, 3)) * 0.01)
+    pairs = (*a, side * rng.uniform(0.9, 1.1, (5, 3)), I, O, side)
+    found = symmetric_iou(*pairs, Symmetry.full())
+    monkeypatch.setattr(_box_ball, "_COVER", 4000)
+    monkeypatch.setattr(_box_ball, "_CLIMBERS", 100)
+    np.testing.assert_allclose(symmetric_iou(*pairs, Symmetry.full()), found, rtol=0, atol=1e-6)
 
 
 def test_shapes_and_refusals() -> None:

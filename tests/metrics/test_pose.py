@@ -146,7 +146,11 @@ def test_float32_matrices_are_replaced_by_the_nearest_rotation() -> None:
     exact = Rotation.random(50, rng=7).as_matrix()
     noisy = exact + np.random.default_rng(8).uniform(-2e-5, 2e-5, exact.shape)
     u, _, vt = np.linalg.svd(noisy)
-    assert rotation_error(noisy, u @ vt).max() < 1e-15 * 4
+    assert rotation_error(noisy, u @ vt).max() < 4e-15
+    other = Rotation.random(50, rng=9).as_matrix()
+    np.testing.assert_allclose(
+        rotation_error(noisy, other), rotation_error(u @ vt, other), rtol=0, atol=4e-15
+    )
 
 
 def test_translation_error() -> None:
