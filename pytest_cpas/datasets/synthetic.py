@@ -283,7 +283,8 @@ def _pattern(name: str, points: Array, relative: Array) -> NDArray[np.bool_]:
     second: NDArray[np.bool_]
     match name:
         case "planks":
-            second = np.floor(7 * points[:, 0]) % 2 == 1
+            # no scenery has a side at x = (n + 1/2) / 7, where rounding would choose
+            second = np.floor(7 * points[:, 0] + 0.5) % 2 == 1
         case "bottle":  # a label and a cap
             second = (np.abs(y + 0.15) < 0.15) | (y > 0.42)
         case "bowl":  # a stripe below the rim
