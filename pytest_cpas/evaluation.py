@@ -127,6 +127,11 @@ def precision_table(judged: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
+def tabulate(rows: Sequence[Row]) -> Table:
+    """The table of rows."""
+    return precision_table(zip((row.category for row in rows), outcomes(rows), strict=True))
+
+
 class Run(ABC):
     """Something that judges samples: a method on a data set, or stored predictions.
 

@@ -50,6 +50,8 @@ class Word(Enum):
     """The verdict on one category of a run."""
 
     MATCHES = "MATCHES"
+    AGREES = "AGREES WITH THE PAPER"
+    ABOVE = "ABOVE THE PAPER"
     REGRESSED = "REGRESSED"
     IMPROVED = "IMPROVED"
     CHANGED = "CHANGED"
@@ -58,6 +60,10 @@ class Word(Enum):
     NOT_CHECKED = "NOT CHECKED"
     RECORDED = "RECORDED"
     NOT_RECORDED = "NOT RECORDED"
+
+
+#: Verdicts that pass without reserve.
+GOOD = (Word.MATCHES, Word.AGREES, Word.ABOVE, Word.RECORDED)
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class Verdict:
     @property
     def failed(self) -> bool:
         """Whether it fails the run. (NOT CHECKED fails it under --cpas-require-golden only.)"""
-        return self.word not in (Word.MATCHES, Word.NOT_CHECKED, Word.RECORDED)
+        return self.word not in (*GOOD, Word.NOT_CHECKED)
 
     def __str__(self) -> str:
         subject = "" if self.category == "all" else f" {self.category}"

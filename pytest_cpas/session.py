@@ -17,7 +17,7 @@ from typing import Any, Literal
 import pytest
 
 from pytest_cpas import registry
-from pytest_cpas.evaluation import MethodRun, Row, Run
+from pytest_cpas.evaluation import MethodRun, Row, Run, tabulate
 from pytest_cpas.golden import (
     GoldenError,
     GoldenTable,
@@ -29,6 +29,7 @@ from pytest_cpas.golden import (
 )
 from pytest_cpas.plugin import golden_folder
 from pytest_cpas.predictions import StoredRun
+from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.terminal import print_run
 from pytest_cpas.types import ContractError, Method, MethodInfo, SampleRef
 
@@ -128,9 +129,15 @@ class CpasSession:
     def _verdicts(self, run: Run, rows: list[Row]) -> list[Verdict]:
         if not self.update:
             try:
-                return compare(find_golden(self.golden, run.method, run.dataset), rows, run)
+                golden = find_golden(self.golden, run.method, run.dataset)
             except GoldenError as error:
                 return [Verdict(Word.DAMAGED, "all", str(error))]
+            if golden is None and rows:
+                published = published_cells(run.dataset, run.method)
+                verdicts = compare_published(published, tabulate(rows))
+                if verdicts:
+                    return verdicts
+            return compare(golden, rows, run)
         try:
             if self._broken or run.damaged:
                 raise GoldenError(f"{self._broken} items failed; a golden table needs none to")

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run, outcomes, precision_table
-from pytest_cpas.golden import Verdict, Word
+from pytest_cpas.evaluation import THRESHOLDS, Row, Run, tabulate
+from pytest_cpas.golden import GOOD, Verdict, Word
 from pytest_cpas.metrics.precision import Count
 
 #: A run of at most this many samples shows each of them.
@@ -34,7 +34,7 @@ def print_run(
     for verdict in verdicts:
         by_word.setdefault(verdict.word, []).append(verdict)
     for word, group in by_word.items():
-        colour = {"red": group[0].failed, "green": word in (Word.MATCHES, Word.RECORDED)}
+        colour = {"red": group[0].failed, "green": word in GOOD}
         if len(group) == 1 or group[0].failed:
             for verdict in group:
                 # the rest of it stands among the failures
@@ -45,9 +45,7 @@ def print_run(
 
 
 def _precision_lines(rows: Sequence[Row]) -> list[list[str]]:
-    table = precision_table(
-        (row.category, outcome) for row, outcome in zip(rows, outcomes(rows), strict=True)
-    )
+    table = tabulate(rows)
     categories = [name for name in table if name != "all"]
     lines = [["correct", *(threshold.label for threshold in THRESHOLDS)]]
     lines += [[name, *map(_cell, table[name].values())] for name in (*categories, "all")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pytest_cpas.evaluation import Run, SampleError
+from pytest_cpas.published import published_sample_counts
 from pytest_cpas.session import ROWS, CpasSession
 from pytest_cpas.types import SampleRef
 
@@ -29,9 +30,18 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def test_listing(run: Run) -> None:
-    """Every sample of the data set can be listed."""
+    """Every sample can be listed, and a complete copy lists what was published."""
     if run.damaged:
         pytest.fail("\n".join(run.damaged), pytrace=False)
+    published = published_sample_counts(run.dataset)
+    for category, count in run.listed.items():
+        expected = published.get(category, count)
+        if count > expected or (count < expected and not run.missing):
+            pytest.fail(
+                f"{run.dataset}: {count} samples of {category}, and nothing is missing; the"
+                f" published data set has {expected}",
+                pytrace=False,
+            )
 
 
 def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:

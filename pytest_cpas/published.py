@@ -1,0 +1,110 @@
+"""The paper's tables as counts, and a run's counts against them.
+
+A published table has no samples, so two counts are compared: a cell is worse if the exact
+binomial interval of the run's precision lies below the published precision. The interval's
+confidence is shared out among the cells of a run, so that a run as good as the published one is
+called worse with at most ``FALSE_ALARMS`` probability, whatever the number of cells.
+"""
+
+from __future__ import annotations
+
+import bisect
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+from pytest_cpas.golden import Verdict, Word, shipped_golden
+from pytest_cpas.metrics.precision import Count, JointThreshold
+
+#: Probability that a run that is as good as the published one is called worse.
+FALSE_ALARMS = 0.01
+
+
+@dataclass(frozen=True)
+class PublishedCell:
+    """Between ``low`` and ``high`` of ``total`` samples correct, as far as the paper tells."""
+
+    category: str
+    label: str
+    low: int
+    high: int
+    total: int
+
+
+def published_cells(dataset: str, method: str) -> list[PublishedCell]:
+    """The paper's precision table of a method on a data set; empty if it has none."""
+    return [
+        PublishedCell(
+            line["category"],
+            _threshold(line).label,
+            int(line["correct_low"]),
+            int(line["correct_high"]),
+            int(line["total"]),
+        )
+        for line in _read("precision.csv")
+        if (line["dataset"], line["method"]) == (dataset, method)
+    ]
+
+
+def published_sample_counts(dataset: str) -> dict[str, int]:
+    """How many samples of each category a complete copy of a data set has; empty if unknown."""
+    return {
+        line["category"]: int(line["total"])
+        for line in _read("precision.csv")
+        if line["dataset"] == dataset and line["category"] != "all"
+    }
+
+
+def _threshold(line: Mapping[str, str]) -> JointThreshold:
+    return JointThreshold(
+        rotation_deg=float(line["rotation_deg"]),
+        position_m=float(line["position_m"]),
+        fscore=float(line["fscore_1cm"]) if line["fscore_1cm"] else None,
+    )
+
+
+def _read(name: str) -> list[dict[str, str]]:
+    with (shipped_golden() / "published" / name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def compare_published(
+    cells: Sequence[PublishedCell], table: Mapping[str, Mapping[str, Count | None]]
+) -> list[Verdict]:
+    """One verdict per category; it states the margin of every cell that both have.
+
+    Worse in one cell makes a category REGRESSED; better ones pass. Pure.
+    """
+    judged = {
+        cell: count
+        for cell in cells
+        if (count := table.get(cell.category, {}).get(cell.label)) is not None
+    }
+    verdicts = []
+    for category in sorted({cell.category for cell in judged}):
+        lines: dict[Word, list[str]] = {Word.REGRESSED: [], Word.ABOVE: [], Word.AGREES: []}
+        for cell, count in judged.items():
+            if cell.category == category:
+                # a two-sided interval, of which only the lower side can raise a false alarm
+                word, line = _judge(cell, count, 1 - 2 * FALSE_ALARMS / len(judged))
+                lines[word].append(line)
+        word = next(word for word, told in lines.items() if told)
+        verdicts.append(Verdict(word, category, "\n  ".join(chain.from_iterable(lines.values()))))
+    return verdicts
+
+
+def _judge(cell: PublishedCell, count: Count, confidence: float) -> tuple[Word, str]:
+    lowest, highest = cell.low / cell.total, cell.high / cell.total
+    low, high = count.interval(confidence)
+    # the smallest count that would not be called worse: what this many samples can detect
+    needed = bisect.bisect_left(
+        range(count.total), lowest, key=lambda k: Count(k, count.total).interval(confidence)[1]
+    )
+    line = (
+        f"{cell.label}: {count.correct}/{count.total} correct (interval {100 * low:.1f} to"
+        f" {100 * high:.1f} %), published {100 * lowest:.1f} %; worse below {needed}/{count.total}"
+    )
+    if high < lowest:
+        return Word.REGRESSED, line
+    return (Word.ABOVE if low > highest else Word.AGREES), line
