@@ -86,7 +86,7 @@ def _surface(observation: Observation, rng: np.random.Generator) -> tuple[Array,
     mask, depth, camera = observation.mask, observation.depth, observation.camera
     usable = mask & (depth > 0)
     # depth at a mask's border mixes object and background
-    inner = ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1) & usable
+    inner = ndimage.binary_erosion(mask, np.ones((3, 3), bool), border_value=1) & usable
     if np.count_nonzero(inner) >= 4 * MIN_POINTS:
         usable = inner
     cloud = camera.back_project(depth, usable)
@@ -96,7 +96,7 @@ def _surface(observation: Observation, rng: np.random.Generator) -> tuple[Array,
         )
     cloud = cloud[rng.permutation(len(cloud))[:CLOUD_POINTS]]
     neighbours = min(NEIGHBOURS, len(cloud))
-    distances, indices = cKDTree(cloud).query(cloud, k=neighbours)
+    distances, indices = map(np.asarray, cKDTree(cloud).query(cloud, k=neighbours))
     spacing = distances[:, -1]
     # flying pixels stand alone, and what lies far off along the ray is not the object
     off = np.abs(cloud[:, 2] - np.median(cloud[:, 2]))
@@ -131,12 +131,14 @@ def _free_space(observation: Observation) -> FreeSpace:
     missing = depth <= 0
     depth[missing & inside] = -FAR
     depth[missing & ~inside] = FAR
-    if inside.any():
-        steps, nearest = ndimage.distance_transform_edt(~inside, return_indices=True)
-    else:  # a mask thinner than the step
-        steps, nearest = np.zeros(inside.shape), np.indices(inside.shape)
-    offset = np.moveaxis(np.indices(inside.shape) - nearest, 0, -1)[..., ::-1]
-    direction = offset / np.maximum(steps, 1)[..., None]
+    offset = np.zeros((2, *inside.shape))
+    if inside.any():  # a mask thinner than the step limits nothing beside it
+        nearest = ndimage.distance_transform_edt(
+            ~inside, return_distances=False, return_indices=True
+        )
+        offset += np.indices(inside.shape) - nearest
+    steps = np.sqrt((offset**2).sum(axis=0))
+    direction = np.moveaxis(offset[::-1] / np.maximum(steps, 1), 0, -1)
     # one pixel of slack: the mask's border is no more exact
     distance = np.where(inside, FAR, np.maximum(steps * step - 1, 0) / camera.fx)
     return FreeSpace(

@@ -13,7 +13,7 @@ are added and the robust kernel narrows. The residuals are
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,37 +28,33 @@ Array = NDArray[np.float64]
 
 #: Cost of free-space violations beside that of the observed points.
 FREE_SPACE_WEIGHT = 1.0
-#: Standard deviations of the log scale over a category: of its size, and of one axis alone.
-SIZE_DEVIATION, SHAPE_DEVIATION = 0.25, 0.15
-#: Weight of the scale prior in the cost.
-PRIOR_WEIGHT = 0.02
-#: The prior's quadratic form in the log scales: their mean apart from what differs between axes.
-SCALE_INFORMATION = PRIOR_WEIGHT * (
-    (np.eye(3) - 1 / 3) / SHAPE_DEVIATION**2 + np.full((3, 3), 1 / 9) / SIZE_DEVIATION**2
-)
+#: Weight of the prior on the extents beside that of all observed points.
+PRIOR_WEIGHT = 0.04
+#: Cost of an observed normal across the model's, beside that of the observed points.
+NORMAL_WEIGHT = 0.3
 #: What decides between candidates that the depth cannot tell apart: objects mostly stand upright.
 UPRIGHT_WEIGHT = 0.02
 #: Rotations tried first: about y axes alone where the category is symmetric, else all.
 AXES, ROTATIONS = 160, 600
+#: Shapes of the prior that the first stages try, all later ones trying all.
+FIRST_SHAPES = 2
+#: Candidates whose rotations differ by less are one, degrees.
+SAME_ROTATION = 12.0
 
 
 @dataclass(frozen=True)
 class Stage:
     """``steps`` Gauss-Newton steps with ``points`` observed and model points and a robust kernel
-    of ``width`` metres, for the ``keep`` best candidates."""
+    of ``width`` metres; the ``keep`` best candidates go on."""
 
-    keep: int
     points: int
     width: float
     steps: int
+    keep: int
 
 
-STAGES = (
-    Stage(keep=10_000, points=40, width=0.03, steps=3),
-    Stage(keep=100, points=80, width=0.02, steps=4),
-    Stage(keep=24, points=160, width=0.012, steps=6),
-    Stage(keep=6, points=400, width=0.007, steps=10),
-)
+COARSE = (Stage(40, 0.03, 4, keep=200), Stage(80, 0.02, 6, keep=24))
+FINE = (Stage(160, 0.012, 8, keep=16), Stage(400, 0.007, 14, keep=1))
 
 
 class Icp:
@@ -117,7 +113,7 @@ class Candidates:
     translation: Array
     log_scale: Array
 
-    def __getitem__(self, index: NDArray[np.int64]) -> Candidates:
+    def __getitem__(self, index: NDArray[np.int64] | slice) -> Candidates:
         return Candidates(
             self.variant[index],
             self.rotation[index],
@@ -129,22 +125,52 @@ class Candidates:
 def fit(prior: Prior, evidence: Evidence) -> Candidates:
     """The one placement of a prior's shape that explains the evidence best."""
     candidates = _start(prior, evidence)
-    cost = np.zeros(len(candidates.variant))
-    for stage in STAGES:
-        # a stable sort of rounded costs: equal candidates keep their order on every machine
-        order = np.argsort(np.round(cost, 9), kind="stable")[: stage.keep]
-        candidates = candidates[order]
-        for _ in range(stage.steps):
-            _, hessian, gradient = _linearise(prior, evidence, candidates, stage)
-            candidates = _move(prior, candidates, hessian, gradient)
-        cost, _, _ = _linearise(prior, evidence, candidates, stage)
-    return candidates[np.argsort(np.round(cost, 9), kind="stable")[:1]]
+    for stage in COARSE:
+        candidates = _refine(prior, evidence, candidates, stage)
+        candidates = _distinct(prior, candidates)[: stage.keep]
+    candidates = _all_shapes(prior, candidates)
+    for stage in FINE:
+        candidates = _refine(prior, evidence, candidates, stage)[: stage.keep]
+    return candidates
+
+
+def _refine(prior: Prior, evidence: Evidence, at: Candidates, stage: Stage) -> Candidates:
+    """The candidates after the stage's steps, the best first."""
+    for _ in range(stage.steps):
+        _, hessian, gradient = _linearise(prior, evidence, at, stage)
+        at = _move(prior, at, hessian, gradient)
+    cost, _, _ = _linearise(prior, evidence, at, stage)
+    # a stable sort of rounded costs: equal candidates keep their order on every machine
+    return at[np.argsort(np.round(cost, 9), kind="stable")]
+
+
+def _distinct(prior: Prior, at: Candidates) -> Candidates:
+    """Without those whose rotation is nearly that of a better one."""
+    if prior.symmetric:
+        y = at.rotation[:, :, 1]
+        cosine = y @ y.T
+    else:
+        flat = at.rotation.reshape(-1, 9)
+        cosine = (flat @ flat.T - 1) / 2
+    same = cosine > np.cos(np.deg2rad(SAME_ROTATION))
+    kept = np.ones(len(same), bool)
+    for index in range(len(same)):
+        if kept[index]:
+            kept[index + 1 :] &= ~same[index, index + 1 :]
+    return at[np.flatnonzero(kept)]
+
+
+def _all_shapes(prior: Prior, at: Candidates) -> Candidates:
+    """Every candidate with every shape of the prior."""
+    shapes = len(prior.points)
+    repeated = at[np.tile(np.arange(len(at.variant)), shapes)]
+    return replace(repeated, variant=np.repeat(np.arange(shapes), len(at.variant)))
 
 
 def _start(prior: Prior, evidence: Evidence) -> Candidates:
-    """Every shape in every starting rotation, its visible side where the observed points are."""
+    """The first shapes in every starting rotation, visible side where the observed points are."""
     rotations = _axis_rotations(AXES) if prior.symmetric else _super_fibonacci(ROTATIONS)
-    variants = len(prior.points)
+    variants = min(len(prior.points), FIRST_SHAPES)
     variant = np.repeat(np.arange(variants), len(rotations))
     rotation = np.tile(rotations, (variants, 1, 1))
     observed = evidence.points
@@ -152,7 +178,7 @@ def _start(prior: Prior, evidence: Evidence) -> Candidates:
     view = middle / np.linalg.norm(middle)
     spread = _spread(observed - middle, view)
     count = 200
-    points, normals = prior.points[:, :count], prior.normals[:, :count]
+    points, normals = prior.points[:variants, :count], prior.normals[:variants, :count]
     # the share of the image that a surface element takes is the cosine of its slant
     weight = np.maximum(-np.einsum("rij,i,vmj->vrm", rotations, view, normals), 0)
     weight /= weight.sum(axis=-1, keepdims=True)
@@ -205,12 +231,11 @@ def _linearise(
     """Cost (K,), Gauss-Newton matrix (K, P, P) and gradient (K, P) of the candidates.
 
     The parameters are a rotation vector about the object's centre and a shift, both in the camera
-    frame, and the free log scales. Each residual counts with the Geman-McClure kernel.
+    frame, and the free log scales. Each residual counts with the pseudo-Huber loss.
     """
     basis = prior.scale_basis
     scale = np.exp(at.log_scale)[:, None]
     back = at.rotation.transpose(0, 2, 1)
-    width = stage.width**2
 
     observed, normals = evidence.points[: stage.points], evidence.normals[: stage.points]
     arm = observed - at.translation[:, None]
@@ -221,32 +246,41 @@ def _linearise(
     slope *= stretch
     distance *= stretch[..., 0]
     normal = slope @ back
-    # a model surface seen edge-on or across does not explain an observed one
+    # a model surface that lies across does not explain an observed one; that weighs in the choice
+    # alone, for beyond an edge of the model such points are what makes it grow
     agreement = np.abs(np.einsum("kni,ni->kn", normal, normals))
-    support = agreement * width / (width + distance**2)
-    weight = agreement * width / (width + distance**2) ** 2
+    loss, weight = _robust(distance, stage.width)
     jacobian = -np.concatenate([np.cross(arm, normal), normal, (slope * local) @ basis], axis=-1)
-    cost = 1 - support.mean(axis=1)
+    cost = (loss + NORMAL_WEIGHT * (1 - agreement)).mean(axis=1)
     hessian, descent = _normal_equations(jacobian, distance, weight)
 
     model = prior.points[at.variant, : stage.points] * scale
     placed = model @ back
     amount, push = evidence.free_space.violation(placed + at.translation[:, None])
-    weight = FREE_SPACE_WEIGHT * width / (width + amount**2) ** 2
+    loss, weight = _robust(amount, stage.width)
+    weight *= FREE_SPACE_WEIGHT
     jacobian = np.concatenate(
         [np.cross(placed, push), push, (push @ at.rotation * model) @ basis], axis=-1
     )
-    cost += FREE_SPACE_WEIGHT * (amount**2 / (width + amount**2)).mean(axis=1)
+    cost += FREE_SPACE_WEIGHT * loss.mean(axis=1)
     free_hessian, free_descent = _normal_equations(jacobian, amount, weight)
 
-    pull = at.log_scale @ SCALE_INFORMATION
-    cost += np.einsum("ki,ki->k", pull, at.log_scale)
+    deviation = prior.log_extents[at.variant] + at.log_scale - prior.mean_log_extents
+    pull = PRIOR_WEIGHT * deviation @ prior.information
+    cost += np.einsum("ki,ki->k", pull, deviation) / 2
     cost += UPRIGHT_WEIGHT * (1 + at.rotation[:, 1, 1]) / 2
     hessian += free_hessian
     descent += free_descent
-    hessian[:, 6:, 6:] += basis.T @ SCALE_INFORMATION @ basis
+    hessian[:, 6:, 6:] += PRIOR_WEIGHT * basis.T @ prior.information @ basis
     descent[:, 6:] += pull @ basis
     return cost, hessian, descent
+
+
+def _robust(residual: Array, width: float) -> tuple[Array, Array]:
+    """Pseudo-Huber loss in units of ``width`` and the residuals' weights. Its pull does not fade:
+    a laptop's edge or a mug's handle far from the model must not become an outlier."""
+    root = np.sqrt(1 + (residual / width) ** 2)
+    return root - 1, 1 / (root * width**2)
 
 
 def _normal_equations(jacobian: Array, residual: Array, weight: Array) -> tuple[Array, Array]:
@@ -259,7 +293,7 @@ def _move(prior: Prior, at: Candidates, hessian: Array, gradient: Array) -> Cand
     diagonal = np.einsum("kii->ki", hessian)  # a view
     diagonal *= 1.01
     diagonal += 1e-3
-    step = -np.linalg.solve(hessian, gradient[..., None])[..., 0]
+    step = np.asarray(-np.linalg.solve(hessian, gradient[..., None])[..., 0], dtype=np.float64)
     turn = _limited(step[:, :3], 0.4)
     return Candidates(
         at.variant,
@@ -271,4 +305,5 @@ def _move(prior: Prior, at: Candidates, hessian: Array, gradient: Array) -> Cand
 
 def _limited(vectors: Array, longest: float) -> Array:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors * np.minimum(1, longest / np.maximum(length, 1e-12))
+    limited: Array = vectors * np.minimum(1, longest / np.maximum(length, 1e-12))
+    return limited
