@@ -212,7 +212,7 @@ def _free_place(
     """A place (x, z) on the table that keeps 1 cm from all others."""
     for attempt in range(10_000):
         spread = 0.1 + 0.0003 * attempt  # a crowded table is used further out
-        place = np.round(rng.uniform(-spread, spread, 2) * np.array([1.4, 1.0]), 4)
+        place: Array = np.round(rng.uniform(-spread, spread, 2) * np.array([1.4, 1.0]), 4)
         if all(np.sum((place - p) ** 2) > (radius + r + 0.01) ** 2 for p, r in placed):
             return place
     raise AssertionError("no free place on a table that grows with every attempt")
@@ -233,17 +233,19 @@ def _look_at(
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.sqrt(np.sum(right**2))
     axes = np.stack([right, np.cross(forward, right), forward])
-    rotation = Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix() @ axes
+    rotation: Array = Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix() @ axes
     return rotation, -rotation @ (target + distance * direction)
 
 
 def _random_rotation(rng: np.random.Generator) -> Array:
     """Uniform over SO(3): a normalised Gaussian quaternion."""
-    return Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    rotation: Array = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    return rotation
 
 
 def _about_y(angle: float) -> Array:
-    return Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix()
+    rotation: Array = Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix()
+    return rotation
 
 
 def _rounded_pose(rotation: Array, translation: Array) -> Pose:
