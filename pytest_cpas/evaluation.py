@@ -132,6 +132,24 @@ def tabulate(rows: Sequence[Row]) -> Table:
     return precision_table(zip((row.category for row in rows), outcomes(rows), strict=True))
 
 
+@dataclass(frozen=True)
+class Selection:
+    """Which samples to judge: those of ``categories`` (all if empty), of them ``limit``, evenly
+    spaced, and of those the ``shard``-th (from 1) of ``shards`` parts."""
+
+    categories: Sequence[str] = ()
+    limit: int | None = None
+    shard: int = 1
+    shards: int = 1
+
+    def of(self, samples: Sequence[SampleRef]) -> list[SampleRef]:
+        """The selected samples, in order."""
+        chosen = [s for s in samples if not self.categories or s.category in self.categories]
+        count = len(chosen) if self.limit is None else min(self.limit, len(chosen))
+        limited = [chosen[i * len(chosen) // count] for i in range(count)]
+        return limited[self.shard - 1 :: self.shards]
+
+
 class Run(ABC):
     """Something that judges samples: a method on a data set, or stored predictions.
 
@@ -153,18 +171,15 @@ class Run(ABC):
         dataset: str,
         samples: Sequence[SampleRef],
         *,
-        categories: Sequence[str] = (),
-        limit: int | None = None,
+        selection: Selection | None = None,
         missing: Sequence[str] = (),
         damaged: Sequence[str] = (),
         identity: Mapping[str, str],
     ) -> None:
-        """Select the samples of ``categories`` (all if empty), ``limit`` of them, evenly spaced."""
+        """List ``samples``, and select some of them (all if ``selection`` is None)."""
         self.method, self.dataset = method, dataset
         self.listed = Counter(sample.category for sample in samples)
-        chosen = [s for s in samples if not categories or s.category in categories]
-        count = len(chosen) if limit is None else min(limit, len(chosen))
-        self.samples = [chosen[i * len(chosen) // count] for i in range(count)]
+        self.samples = (selection or Selection()).of(samples)
         self.missing, self.damaged = missing, damaged
         self.identity: Mapping[str, str] = {**_DEFINITIONS, **identity}
 
@@ -181,8 +196,7 @@ class MethodRun(Run):
         method: Method,
         dataset: Dataset,
         *,
-        categories: Sequence[str] = (),
-        limit: int | None = None,
+        selection: Selection | None = None,
         weights: Path | None = None,
         device: str = "cpu",
         seed: int = 0,
@@ -202,8 +216,7 @@ class MethodRun(Run):
             method.info.name,
             dataset.name,
             known,
-            categories=categories,
-            limit=limit,
+            selection=selection,
             missing=missing,
             damaged=dataset.damaged,
             identity={"data": dataset.digest, "seed": str(seed), "device": device},

@@ -52,7 +52,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--cpas-device", metavar="DEVICE", default="cpu", help="device of the method (default: cpu)"
     )
     group.addoption(
-        "--cpas-seed", metavar="N", type=int, default=0, help="seed of the method (default: 0)"
+        "--cpas-seed",
+        metavar="N",
+        type=int,
+        default=0,
+        help="seed of the method, and of the examples of --cpas-metrics (default: 0)",
     )
     group.addoption(
         "--cpas-category",
@@ -66,6 +70,30 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="N",
         type=int,
         help="judge only N samples of each data set, evenly spaced",
+    )
+    group.addoption(
+        "--cpas-shard",
+        metavar="I/N",
+        default="1/1",
+        help="judge the I-th of N parts of the samples; merge the --cpas-results of all parts with"
+        " pytest-cpas merge",
+    )
+    group.addoption(
+        "--cpas-results",
+        metavar="DIR",
+        help="keep the rows in DIR as they come; the same command goes on where it was killed",
+    )
+    group.addoption(
+        "--cpas-merge",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="judge the results files of shards as one run (repeatable)",
+    )
+    group.addoption(
+        "--cpas-allow-gaps",
+        action="store_true",
+        help="with --cpas-merge: accept that shards or samples are missing",
     )
     group.addoption(
         "--cpas-granularity",
@@ -85,9 +113,29 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="fail when a golden table is missing or was compared with a part of its samples only",
     )
     group.addoption(
+        "--cpas-metrics",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="check an implementation of metrics: a registered name or package.module (repeatable)",
+    )
+    group.addoption(
+        "--cpas-examples",
+        metavar="N",
+        type=int,
+        help="examples per property of --cpas-metrics (default: 40)",
+    )
+    group.addoption(
+        "--cpas-metrics-report",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="write the matrix of --cpas-metrics to a .json or .md file (repeatable)",
+    )
+    group.addoption(
         "--cpas-list",
         action="store_true",
-        help="print the registered methods and data sets, without importing them, and exit",
+        help="print what is registered, without importing it, and exit",
     )
     parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
 
@@ -110,7 +158,12 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
 def pytest_configure(config: pytest.Config) -> None:
     """Resolve what is asked for before collection, so that a mistake is a usage error."""
     options = config.option
-    asked = options.cpas_method or options.cpas_dataset or options.cpas_predictions
+    asked = (
+        options.cpas_method
+        or options.cpas_dataset
+        or options.cpas_predictions
+        or options.cpas_merge
+    )
     if not asked or options.help or options.version:
         return
     from pytest_cpas.session import CpasSession

@@ -18,7 +18,7 @@ import functools
 import hashlib
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas._safe_pickle import load_numpy_pickle
 from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.evaluation import Row, Run, SampleError, measure
+from pytest_cpas.evaluation import Row, Run, SampleError, Selection, measure
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
 from pytest_cpas.types import (
     CATEGORIES,
@@ -171,9 +171,7 @@ def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Arra
 class StoredRun(Run):
     """Stored predictions, judged like the run of a method."""
 
-    def __init__(
-        self, path: Path, *, categories: Sequence[str] = (), limit: int | None = None
-    ) -> None:
+    def __init__(self, path: Path, *, selection: Selection | None = None) -> None:
         """Read the file or folder; nothing is judged yet."""
         self._frames: dict[str, Frame] = {}
         digest = hashlib.sha256()
@@ -193,8 +191,7 @@ class StoredRun(Run):
             re.sub(r"[^A-Za-z0-9._-]", "-", path.stem if path.is_file() else path.name),
             "stored",
             samples,
-            categories=categories,
-            limit=limit,
+            selection=selection,
             identity={"data": digest.hexdigest()},
         )
         self._info = MethodInfo(

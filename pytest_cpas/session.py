@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable
-from dataclasses import asdict
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 
 from pytest_cpas import registry
-from pytest_cpas.evaluation import MethodRun, Row, Run, tabulate
+from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import (
     GoldenError,
     GoldenTable,
@@ -31,12 +32,21 @@ from pytest_cpas.plugin import golden_folder
 from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.terminal import print_run
+from pytest_cpas.results import ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.types import ContractError, Method, MethodInfo, SampleRef
 
-#: Where an item keeps the rows of the samples it judged.
-ROWS = pytest.StashKey[list[Row]]()
+#: Where an item keeps what it found out: rows, and errors of samples without one.
+FOUND = pytest.StashKey["Found"]()
 
 SUITE = Path(__file__).parent / "suite"
+
+
+@dataclass
+class Found:
+    """The rows of the samples that an item judged, and (sample, message) of those it could not."""
+
+    rows: list[Row] = field(default_factory=list)
+    errors: list[tuple[str, str]] = field(default_factory=list)
 
 
 class CpasSession:
@@ -49,7 +59,10 @@ class CpasSession:
         self.update = bool(config.getoption("update_snapshots", False))
         self.golden = golden_folder(config)
         self.runs: list[Run] = _resolve_runs(config)
-        self.rows: dict[Run, dict[str, Row]] = {run: {} for run in self.runs}
+        self.files = _results_files(config, self.runs)
+        self.rows: dict[Run, dict[str, Row]] = {
+            run: dict(self.files[run].rows) if run in self.files else {} for run in self.runs
+        }
         self.verdicts: dict[Run, list[Verdict]] = {}
         self._broken = 0
         suite = str(SUITE / "test_samples.py")
@@ -84,35 +97,48 @@ class CpasSession:
     def pytest_runtest_makereport(
         self, item: pytest.Item
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Put an item's rows on its report, as plain values that xdist can send."""
+        """Put what an item found on its report, as plain values that xdist can send."""
         report = yield
-        if report.when == "call" and ROWS in item.stash:
+        if report.when == "call" and FOUND in item.stash:
             run = item.callspec.params["run"]  # type: ignore[attr-defined]
-            index = self.runs.index(run)
-            rows = [(index, asdict(row)) for row in item.stash[ROWS]]
-            report.cpas_rows = rows  # type: ignore[attr-defined]
+            found = (self.runs.index(run), asdict(item.stash[FOUND]))
+            report.cpas_found = found  # type: ignore[attr-defined]
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """On the controller: collect rows."""
+        """On the controller: collect rows, and keep them on disk if asked to."""
         if not self.is_controller:
             return
         if report.failed:
             self._broken += 1
-        for index, values in getattr(report, "cpas_rows", ()):
+        if not hasattr(report, "cpas_found"):
+            return
+        index, found = report.cpas_found
+        run = self.runs[index]
+        file = self.files.get(run)
+        for values in found["rows"]:
             row = Row(**values)
-            self.rows[self.runs[index]][row.sample] = row
+            self.rows[run][row.sample] = row
+            if file:
+                file.add(row)
+        for sample, message in found["errors"]:
+            if file:
+                file.add_error(sample, message)
 
     # -- verdict ----------------------------------------------------------------------------
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """After the last item, on the controller: one report per golden cell group."""
-        try:
+        if not self.is_controller or self.config.option.collectonly:
             return (yield)
+        try:
+            with ExitStack() as files:
+                for file in self.files.values():
+                    files.enter_context(file)
+                return (yield)
         finally:
-            interrupted = isinstance(sys.exception(), KeyboardInterrupt)
-            if self.is_controller and not interrupted and not self.config.option.collectonly:
+            if not isinstance(sys.exception(), KeyboardInterrupt):
                 self._judge_runs(session)
 
     def _judge_runs(self, session: pytest.Session) -> None:
@@ -185,6 +211,14 @@ class CpasSession:
             print_run(terminalreporter, run, self._ordered(run), self.verdicts.get(run, []))
 
 
+def cpas_session(config: pytest.Config) -> CpasSession:
+    """The session of a run that has one."""
+    session = config.pluginmanager.get_plugin("cpas-session")
+    if not isinstance(session, CpasSession):
+        raise pytest.UsageError("the suite of pytest-cpas runs with --cpas-method and the like")
+    return session
+
+
 def _raised(error: BaseException) -> BaseException:
     """The error with a traceback, which pytest needs to represent it."""
     try:
@@ -211,9 +245,10 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
         None if folder is None else config.invocation_params.dir / folder
         for folder in (options.cpas_data, options.cpas_weights)
     )
-    select = {"categories": options.cpas_category, "limit": options.cpas_limit}
     runs: list[Run] = []
     try:
+        shard = Shard.parse(options.cpas_shard)
+        selection = Selection(options.cpas_category, options.cpas_limit, shard.index, shard.count)
         methods = [_make_method(name, weights) for name in options.cpas_method]
         datasets = [registry.resolve("dataset", name)(data) for name in options.cpas_dataset]
         runs += [
@@ -223,14 +258,16 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
                 weights=weights,
                 device=options.cpas_device,
                 seed=options.cpas_seed,
-                **select,
+                selection=selection,
             )
             for make in methods
             for dataset in datasets
         ]
         for name in options.cpas_predictions:
-            runs.append(StoredRun(config.invocation_params.dir / name, **select))
-    except (registry.RegistryError, ContractError, OSError) as error:
+            runs.append(StoredRun(config.invocation_params.dir / name, selection=selection))
+        merged = [config.invocation_params.dir / name for name in options.cpas_merge]
+        runs += merge(merged, allow_gaps=options.cpas_allow_gaps)
+    except (registry.RegistryError, ContractError, ResultsError, ValueError, OSError) as error:
         raise pytest.UsageError(str(error)) from error
     for run in runs:
         if not run.samples and not run.damaged:
@@ -242,6 +279,17 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     if len(set(names)) < len(names):
         raise pytest.UsageError(f"the same method and data set twice: {names}")
     return runs
+
+
+def _results_files(config: pytest.Config, runs: Sequence[Run]) -> dict[Run, ResultsFile]:
+    folder = config.option.cpas_results
+    if folder is None:
+        return {}
+    shard = Shard.parse(config.option.cpas_shard)
+    try:
+        return {run: ResultsFile(config.invocation_params.dir / folder, run, shard) for run in runs}
+    except ResultsError as error:
+        raise pytest.UsageError(str(error)) from error
 
 
 def _make_method(name: str, weights: Path | None) -> Callable[[], Method]:

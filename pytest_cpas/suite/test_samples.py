@@ -6,14 +6,13 @@ import pytest
 
 from pytest_cpas.evaluation import Run, SampleError
 from pytest_cpas.published import published_sample_counts
-from pytest_cpas.session import ROWS, CpasSession
+from pytest_cpas.session import FOUND, Found, cpas_session
 from pytest_cpas.types import SampleRef
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Parametrise by run, and by sample (or group of samples)."""
-    session = metafunc.config.pluginmanager.get_plugin("cpas-session")
-    assert isinstance(session, CpasSession), "the suite needs --cpas-method or --cpas-predictions"
+    session = cpas_session(metafunc.config)
     if "refs" in metafunc.fixturenames:
         metafunc.parametrize(
             ("run", "refs"),
@@ -46,13 +45,17 @@ def test_listing(run: Run) -> None:
 
 def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:
     """The sample can be read, the method answers, and the answer keeps the contract."""
-    rows = request.node.stash[ROWS] = []
+    session = cpas_session(request.config)
+    found = request.node.stash[FOUND] = Found()
     errors = []
     for ref in refs:
+        if ref.id in session.rows[run]:
+            continue  # judged before the run was killed
         try:
-            rows.append(run.judge(ref))
+            found.rows.append(run.judge(ref))
         except SampleError as error:
             errors.append(error)
+            found.errors.append((ref.id, str(error)))
     if len(errors) == 1 and errors[0].__cause__ is not None:
         raise errors[0]
     if errors:

@@ -1,0 +1,272 @@
+"""Rows on disk, as they come: what lets a killed run go on, and shards be judged together.
+
+A results file is append-only text, one JSON value per line, each line preceded by its CRC-32. The
+first line says what run it belongs to, every other one holds a row or what went wrong with a
+sample. A last line that was cut off when the writer was killed is dropped; any other damage is an
+error.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TextIO
+
+from pytest_cpas.evaluation import Row, Run, SampleError
+from pytest_cpas.types import SampleRef
+
+FORMAT = 1
+
+
+class ResultsError(Exception):
+    """A results file that is damaged, or that belongs to another run."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """The ``index``-th of ``count`` parts of a run, from 1: every ``count``-th sample."""
+
+    index: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """From ``i/n``; raises :class:`ValueError`."""
+        match = re.fullmatch(r"(\d+)/(\d+)", text)
+        if not match or not 1 <= int(match[1]) <= int(match[2]):
+            raise ValueError(f"shard {text!r}: expected i/n with 1 <= i <= n, such as 2/4")
+        return cls(int(match[1]), int(match[2]))
+
+    def __str__(self) -> str:
+        return f"{self.index}/{self.count}"
+
+
+@dataclass(frozen=True)
+class Header:
+    """Which run a results file belongs to; ``selected`` counts the samples of this shard."""
+
+    method: str
+    dataset: str
+    shard: str
+    selected: int
+    listed: Mapping[str, int]
+    missing: Sequence[str]
+    damaged: Sequence[str]
+    identity: Mapping[str, str]
+    provenance: Mapping[str, str]
+
+    @classmethod
+    def of(cls, run: Run, shard: Shard) -> Header:
+        """The header of a run's results."""
+        return cls(
+            run.method,
+            run.dataset,
+            str(shard),
+            len(run.samples),
+            dict(run.listed),
+            list(run.missing),
+            list(run.damaged),
+            dict(run.identity),
+            dict(run.provenance),
+        )
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a results file holds: rows by sample, and errors of samples without a row."""
+
+    path: Path
+    header: Header
+    rows: Mapping[str, Row]
+    errors: Mapping[str, str]
+    size: int  # bytes up to the end of the last whole line
+
+
+def _line(kind: str, value: Any, **more: Any) -> str:
+    text = json.dumps({kind: value, **more}, separators=(",", ":"))
+    return f"{zlib.crc32(text.encode()):08x} {text}\n"
+
+
+def read_results(path: Path) -> Results:
+    """Read a results file; :class:`ResultsError` names the line that is damaged."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ResultsError(f"{path}: cannot be read ({error})") from error
+    lines = content.split(b"\n")
+    values: list[dict[str, Any]] = []
+    size = 0
+    for number, line in enumerate(lines[:-1], 1):  # what follows the last newline was cut off
+        crc, _, text = line.partition(b" ")
+        if crc != b"%08x" % zlib.crc32(text):
+            raise ResultsError(
+                f"{path}, line {number}: its checksum is wrong, so the file was damaged or edited;"
+                " remove it and run again"
+            )
+        values.append(json.loads(text))
+        size += len(line) + 1
+    if not values or values[0].get("format") != FORMAT:
+        raise ResultsError(
+            f"{path}: does not begin with a header of format {FORMAT}, so this version of"
+            " --cpas-results did not write it"
+        )
+    rows: dict[str, Row] = {}
+    errors: dict[str, str] = {}
+    for value in values[1:]:
+        if "row" in value:
+            row = Row(**value["row"])
+            rows[row.sample] = row
+            errors.pop(row.sample, None)
+        else:
+            sample, message = value["error"]
+            errors[sample] = message
+    return Results(path, Header(**values[0]["header"]), rows, errors, size)
+
+
+class ResultsFile:
+    """The results file of one run, which grows by a line per sample.
+
+    Whoever runs the same command again finds the samples that are done in ``rows``.
+    """
+
+    def __init__(self, folder: Path, run: Run, shard: Shard) -> None:
+        """Read what is there. Raises :class:`ResultsError` if it is damaged or another run's."""
+        part = "" if shard.count == 1 else f"-{shard.index}-of-{shard.count}"
+        self.path = folder / f"{run.method}-{run.dataset}{part}.jsonl"
+        self.header = Header.of(run, shard)
+        self.rows: Mapping[str, Row] = {}
+        self._size = 0
+        self._file: TextIO | None = None
+        if self.path.exists():
+            found = read_results(self.path)
+            differences = _differences(found.header, self.header)
+            if differences:
+                raise ResultsError(
+                    f"{self.path} holds another run: {'; '.join(differences)}. Remove it, or name"
+                    " another folder"
+                )
+            self.rows, self._size = found.rows, found.size
+
+    def __enter__(self) -> ResultsFile:
+        """Start writing: a new file with its header, or after the last whole line."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("a", encoding="utf-8", newline="")
+            self._file.truncate(self._size)
+            if self._size == 0:
+                self._write(_line("header", asdict(self.header), format=FORMAT))
+        except OSError as error:
+            raise ResultsError(f"{self.path}: cannot be written ({error})") from error
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """End writing."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def add(self, row: Row) -> None:
+        """Append a row."""
+        self._write(_line("row", asdict(row)))
+
+    def add_error(self, sample: str, message: str) -> None:
+        """Append why a sample has no row; a later run tries it again."""
+        self._write(_line("error", [sample, message]))
+
+    def _write(self, line: str) -> None:
+        if self._file is None:
+            raise RuntimeError(f"{self.path} is not open")
+        self._file.write(line)
+        self._file.flush()
+
+
+def _differences(found: Header, expected: Header) -> list[str]:
+    old, new = asdict(found), asdict(expected)
+    lines = []
+    for key in old:
+        before, now = old[key], new[key]
+        if before != now and isinstance(before, dict):
+            parts = sorted(k for k in {*before, *now} if before.get(k) != now.get(k))
+            lines += [f"{k} was {before.get(k)}, now {now.get(k)}" for k in parts]
+        elif before != now:
+            lines.append(f"{key} was {before}, now {now}")
+    return lines
+
+
+class MergedRun(Run):
+    """The results of all shards of a run, judged as one."""
+
+    def __init__(self, parts: Sequence[Results]) -> None:
+        """Put results together that :func:`merge` has checked."""
+        header = parts[0].header
+        self._rows = {sample: row for part in parts for sample, row in part.rows.items()}
+        self._errors = {sample: text for part in parts for sample, text in part.errors.items()}
+        judged = [SampleRef(row.sample, row.category, "") for row in self._rows.values()]
+        unjudged = [SampleRef(sample, "error", "") for sample in self._errors]
+        samples = sorted(judged + unjudged, key=lambda ref: ref.id)
+        super().__init__(
+            header.method,
+            header.dataset,
+            samples,
+            missing=header.missing,
+            damaged=header.damaged,
+            identity=header.identity,
+        )
+        self.listed = Counter(header.listed)
+        self.provenance = header.provenance
+
+    def judge(self, ref: SampleRef) -> Row:
+        """The stored row; raises the stored error."""
+        if ref.id in self._errors:
+            raise SampleError(self._errors[ref.id])
+        return self._rows[ref.id]
+
+
+def merge(paths: Sequence[Path], *, allow_gaps: bool = False) -> list[MergedRun]:
+    """The runs whose shards are in ``paths``, one per method and data set.
+
+    Raises :class:`ResultsError` for shards of different runs or conditions, for samples that are
+    in two files and, unless ``allow_gaps``, for shards or samples that are in none.
+    """
+    groups: dict[tuple[str, str], list[Results]] = {}
+    for path in paths:
+        results = read_results(path)
+        groups.setdefault((results.header.method, results.header.dataset), []).append(results)
+    for parts in groups.values():
+        _check_shards(parts, allow_gaps)
+    return [MergedRun(parts) for parts in groups.values()]
+
+
+def _check_shards(parts: Sequence[Results], allow_gaps: bool) -> None:
+    first = parts[0]
+    seen: dict[str, Path] = {}
+    shards: dict[int, Path] = {}
+    for part in parts:
+        shard, count = Shard.parse(part.header.shard), Shard.parse(first.header.shard).count
+        same = replace(part.header, shard=first.header.shard, selected=first.header.selected)
+        differences = _differences(first.header, same)
+        if shard.count != count:
+            differences.append(f"shards are {count}, now {shard.count}")
+        if differences:
+            raise ResultsError(
+                f"{first.path} and {part.path} are of different runs: {'; '.join(differences)}"
+            )
+        if shard.index in shards:
+            raise ResultsError(f"{shards[shard.index]} and {part.path} are both shard {shard}")
+        shards[shard.index] = part.path
+        for sample in (*part.rows, *part.errors):
+            if sample in seen:
+                raise ResultsError(f"sample {sample} is in {seen[sample]} and in {part.path}")
+            seen[sample] = part.path
+    gaps = [f"shard {i}/{count} is missing" for i in range(1, count + 1) if i not in shards]
+    for part in parts:
+        done = len(part.rows) + len(part.errors)
+        if done < part.header.selected:
+            gaps.append(f"{part.path} has {done} of its {part.header.selected} samples")
+    if gaps and not allow_gaps:
+        raise ResultsError(f"{'; '.join(gaps)}. Run what is missing, or pass --cpas-allow-gaps")
