@@ -59,7 +59,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def benchmarks(session: nox.Session) -> None:
     """Ratios against peers, measured in the same run."""
-    install(session, "-e", ".[open3d,numba]", "--group", "benchmarks")
+    install(session, "-e", ".[open3d,fast]", "--group", "benchmarks")
     session.install("--no-deps", "cpas_toolbox==1.0.0")
     for script in session.posargs or sorted(str(p) for p in Path("benchmarks").glob("bench_*.py")):
         session.run("python", script, env=ENV)

@@ -4,6 +4,7 @@ import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import hypothesis  # noqa: F401 - else every run in this process imports it anew
 import pytest
 
 import pytest_cpas.session  # noqa: F401 - runs in this process must share our modules

@@ -40,13 +40,13 @@ def rotation_error(
     symmetry = Symmetry.none() if symmetry is None else symmetry
     estimate = checked_rotations(estimate, "estimated rotation")
     truth = checked_rotations(truth, "true rotation")
-    relative = np.swapaxes(truth, -1, -2) @ estimate
+    relative = _product(np.swapaxes(truth, -1, -2), estimate)
     if symmetry.sphere:
         return np.zeros(relative.shape[:-2])
     errors = [
-        _angle_of(relative @ element.T)
+        _angle_of(_product(relative, element.T))
         if symmetry.axis is None
-        else _angle_between(symmetry.axis, relative @ (element.T @ symmetry.axis))
+        else _angle_between(symmetry.axis, _turned(relative, element.T @ symmetry.axis))
         for element in symmetry.rotations
     ]
     return np.asarray(np.min(errors, axis=0))
@@ -83,13 +83,30 @@ def checked_rotations(value: ArrayLike, what: str) -> Array:
             f"{what}: {_first(mirrored)} a reflection (determinant -1); expected +1. Usual"
             " causes: one axis flipped instead of two, a frame change that mirrors"
         )
-    if deviation.max(initial=0) < _ROUNDED:
+    rounded = deviation < _ROUNDED
+    if np.all(rounded):
         return rotations
     # Newton's iteration for the polar factor squares the deviation: 1e-4, 1e-8, 1e-16
+    nearest = rotations
     for _ in range(2):
-        gram = np.swapaxes(rotations, -1, -2) @ rotations
-        rotations = rotations @ (1.5 * np.eye(3) - 0.5 * gram)
-    return rotations
+        gram = _product(np.swapaxes(nearest, -1, -2), nearest)
+        nearest = _product(nearest, 1.5 * np.eye(3) - 0.5 * gram)
+    return np.where(rounded[..., None, None], rotations, nearest)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """``a @ b`` of (..., 3, 3), to the same bits whatever the batch is: BLAS does not promise it."""
+    columns, rows = a[..., :, None, :], b[..., None, :, :]
+    return np.asarray(
+        columns[..., 0] * rows[..., 0, :]
+        + columns[..., 1] * rows[..., 1, :]
+        + columns[..., 2] * rows[..., 2, :]
+    )
+
+
+def _turned(rotations: Array, vector: Array) -> Array:
+    """``rotations @ vector`` of (..., 3, 3) and (3,), as :func:`_product`."""
+    return _product(rotations, vector[:, None])[..., 0]
 
 
 def _determinant(columns: Array) -> Array:
@@ -152,4 +169,4 @@ def _angle_of(rotations: Array) -> Array:
 
 def _angle_between(a: Array, b: Array) -> Array:
     """The angles between unit vectors (..., 3)."""
-    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), b @ a))
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))

@@ -160,3 +160,18 @@ def test_translation_error() -> None:
     for bad in ((1, 2), (np.nan, 0, 0), "here"):
         with pytest.raises(ContractError, match="translation"):
             translation_error(bad, (0, 0, 0))
+
+
+def test_values_do_not_depend_on_the_batch():
+    """To the last bit: a shard, a single sample and a whole data set must print the same."""
+    rng = np.random.default_rng(5)
+    estimates = Rotation.random(500, rng=rng).as_matrix()
+    estimates[::3] += rng.normal(scale=1e-6, size=estimates[::3].shape)
+    truths = Rotation.random(500, rng=rng).as_matrix()
+    for symmetry in (Symmetry.none(), Symmetry.about([0, 1, 0]), Symmetry.n_fold([1, 2, 3], 4)):
+        together = rotation_error(estimates, truths, symmetry)
+        alone = [rotation_error(e, t, symmetry) for e, t in zip(estimates, truths, strict=True)]
+        np.testing.assert_array_equal(together, alone)
+        np.testing.assert_array_equal(
+            together[7:90], rotation_error(estimates[7:90], truths[7:90], symmetry)
+        )
