@@ -18,15 +18,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="judge the results files of shards as one run",
         description="Judge the results files that --cpas-shard I/N --cpas-results DIR wrote as one"
         " run, with the table, verdict and exit code of an undivided run. Further options are"
-        " pytest's, such as --cpas-require-golden, --snapshot-update or --junitxml=FILE.",
+        " pytest's, such as --cpas-require-golden, --cpas-allow-gaps, --snapshot-update, --junitxml=FILE.",
     )
     merge.add_argument("files", nargs="+", metavar="FILE")
-    merge.add_argument("--allow-gaps", action="store_true", help="accept that parts are missing")
     known, others = parser.parse_known_args(arguments)
-    options = [f"--cpas-merge={file}" for file in known.files]
-    if known.allow_gaps:
-        options.append("--cpas-allow-gaps")
-    return int(pytest.main([*options, *others]))
+    return int(pytest.main([*(f"--cpas-merge={file}" for file in known.files), *others]))
 
 
 if __name__ == "__main__":

@@ -98,34 +98,38 @@ def read_results(path: Path) -> Results:
         content = path.read_bytes()
     except OSError as error:
         raise ResultsError(f"{path}: cannot be read ({error})") from error
-    lines = content.split(b"\n")
-    values: list[dict[str, Any]] = []
+    header: Header | None = None
+    rows: dict[str, Row] = {}
+    errors: dict[str, str] = {}
     size = 0
-    for number, line in enumerate(lines[:-1], 1):  # what follows the last newline was cut off
+    for number, line in enumerate(content.split(b"\n")[:-1], 1):  # the rest was cut off
         crc, _, text = line.partition(b" ")
         if crc != b"%08x" % zlib.crc32(text):
             raise ResultsError(
                 f"{path}, line {number}: its checksum is wrong, so the file was damaged or edited;"
                 " remove it and run again"
             )
-        values.append(json.loads(text))
         size += len(line) + 1
-    if not values or values[0].get("format") != FORMAT:
-        raise ResultsError(
-            f"{path}: does not begin with a header of format {FORMAT}, so this version of"
-            " --cpas-results did not write it"
-        )
-    rows: dict[str, Row] = {}
-    errors: dict[str, str] = {}
-    for value in values[1:]:
-        if "row" in value:
-            row = Row(**value["row"])
-            rows[row.sample] = row
-            errors.pop(row.sample, None)
-        else:
-            sample, message = value["error"]
-            errors[sample] = message
-    return Results(path, Header(**values[0]["header"]), rows, errors, size)
+        try:
+            value = json.loads(text)
+            if header is None:
+                if value["format"] != FORMAT:
+                    raise ValueError(f"format {value['format']}, this version reads {FORMAT}")
+                header = Header(**value["header"])
+            elif "row" in value:
+                row = Row(**value["row"])
+                rows[row.sample] = row
+                errors.pop(row.sample, None)
+            else:
+                sample, message = value["error"]
+                errors[sample] = message
+        except (ValueError, TypeError, KeyError) as error:
+            raise ResultsError(
+                f"{path}, line {number}: --cpas-results of this version did not write it ({error})"
+            ) from error
+    if header is None:
+        raise ResultsError(f"{path}: does not begin with the header of a results file")
+    return Results(path, header, rows, errors, size)
 
 
 class ResultsFile:

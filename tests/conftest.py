@@ -1,7 +1,13 @@
 import os
+import shutil
 from pathlib import Path
 
+import hypothesis  # noqa: F401 - else every run of pytest in this process imports it anew
 import pytest
+
+import pytest_cpas.session  # noqa: F401 - runs in this process must share our modules
+
+RUN = ("-p", "no:dash", "-p", "no:cacheprovider")
 
 pytest_plugins = ["pytester"]
 
@@ -14,3 +20,25 @@ def test_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real data at {folder} (set CPAS_TEST_DATA)")
     return folder.resolve()
+
+
+@pytest.fixture
+def cpas(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
+    """Run ``method`` on ``dataset`` of tests/tiny.py with further arguments."""
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    shutil.copy(Path(__file__).with_name("tiny.py"), pytester.path)
+    (pytester.path / "golden").mkdir()
+
+    def run(method: str, *args: str, dataset: str = "Tiny") -> pytest.RunResult:
+        names = ("--cpas-method", f"tiny:{method}", "--cpas-dataset", f"tiny:{dataset}")
+        start = pytester.runpytest_subprocess if "-n2" in args else pytester.runpytest_inprocess
+        return start(*RUN, *names, *args)
+
+    return run
+
+
+@pytest.fixture
+def recorded(cpas):
+    """The same, with a golden table of the perfect method."""
+    assert cpas("Perfect", "--snapshot-update").ret == 0
+    return cpas

@@ -4,35 +4,8 @@ import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-import hypothesis  # noqa: F401 - else every run in this process imports it anew
 import pytest
-
-import pytest_cpas.session  # noqa: F401 - runs in this process must share our modules
-
-RUN = ("-p", "no:dash", "-p", "no:cacheprovider")
-
-
-@pytest.fixture
-def cpas(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
-    """Run ``method`` on ``dataset`` of tests/tiny.py with further arguments."""
-    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
-    shutil.copy(Path(__file__).with_name("tiny.py"), pytester.path)
-    (pytester.path / "golden").mkdir()
-
-    def run(method: str, *args: str, dataset: str = "Tiny") -> pytest.RunResult:
-        names = ("--cpas-method", f"tiny:{method}", "--cpas-dataset", f"tiny:{dataset}")
-        start = pytester.runpytest_subprocess if "-n2" in args else pytester.runpytest_inprocess
-        return start(*RUN, *names, *args)
-
-    return run
-
-
-@pytest.fixture
-def recorded(cpas):
-    """The same, with a golden table of the perfect method."""
-    assert cpas("Perfect", "--snapshot-update").ret == 0
-    return cpas
-
+from conftest import RUN
 
 GRID = [(), ("-n2",), ("-n2", "--dist=worksteal"), ("--cpas-granularity=scene",)]
 
