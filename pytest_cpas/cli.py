@@ -18,7 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="judge the results files of shards as one run",
         description="Judge the results files that --cpas-shard I/N --cpas-results DIR wrote as one"
         " run, with the table, verdict and exit code of an undivided run. Further options are"
-        " pytest's, such as --cpas-require-golden, --cpas-allow-gaps, --snapshot-update, --junitxml=FILE.",
+        " pytest's, such as --cpas-require-golden, --cpas-allow-gaps, --snapshot-update or"
+        " --junitxml=FILE.",
     )
     merge.add_argument("files", nargs="+", metavar="FILE")
     known, others = parser.parse_known_args(arguments)

@@ -182,7 +182,7 @@ def test_every_damage_is_noticed(recorded, pytester):
         error = usage_error(pytester, f"--cpas-merge={path}")
         assert "checksum is wrong" in error
     for content, words in (
-        (b"", "does not begin with a header"),
+        (b"", "does not begin with the header"),
         (b"hello\n", "checksum is wrong"),
         (b"00000000 \n", "did not write it"),
         (os.urandom(300) + b"\n", "checksum is wrong"),
