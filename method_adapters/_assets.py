@@ -1,0 +1,66 @@
+"""Files that methods need, and what is said when they are missing or wrong."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.types import CATEGORIES, Asset
+
+#: The category priors, (6, 1024, 3) in NOCS units, that SPD, CR-Net, SGPA, DPDN and RBP-Pose share.
+MEAN_SHAPES = Asset(
+    "mean_points_emb.npy",
+    "https://github.com/mentian/object-deformnet/raw/master/assets/mean_points_emb.npy",
+    "MIT",
+)
+MEAN_SHAPES_MD5 = "3d183e58e2353e77c643d236ba7e575c"
+
+#: On top of each checkpoint's own licence, or instead of it.
+NOCS_TERMS = "trained on NOCS data, which is for non-commercial use"
+
+
+class AssetError(ValueError):
+    """A file of weights or priors is not what it should be."""
+
+
+def require_torch() -> None:
+    """Raises ModuleNotFoundError with what to install; torch itself is not imported."""
+    if importlib.util.find_spec("torch") is None:
+        raise ModuleNotFoundError("this method needs torch: pip install 'pytest-cpas[torch]'")
+
+
+def asset_path(folder: Path | None, asset: Asset) -> Path:
+    """The asset's file below the weights folder; FileNotFoundError if there is none."""
+    if folder is None or not (folder / asset.path).is_file():
+        where = "no weights folder is given" if folder is None else f"no file {folder / asset.path}"
+        raise FileNotFoundError(
+            f"{asset.path}: {where}. It is published at {asset.url} ({asset.licence}); fetch it,"
+            " and pass its folder with --cpas-weights DIR or CPAS_WEIGHTS"
+        )
+    return folder / asset.path
+
+
+def load_priors(folder: Path | None) -> NDArray[np.float32]:
+    """The mean shapes (6, 1024, 3), categories in the order of CATEGORIES.
+
+    Raises FileNotFoundError, or :class:`AssetError` for a file that holds something else.
+    """
+    path = asset_path(folder, MEAN_SHAPES)
+    expected = (
+        f"expected {(len(CATEGORIES), 1024, 3)} finite numbers, each category about 1 in diagonal"
+        f" (the published file has the md5 sum {MEAN_SHAPES_MD5})"
+    )
+    try:
+        priors = np.load(path, allow_pickle=False)
+    except (ValueError, OSError) as error:
+        raise AssetError(f"{path}: it cannot be read ({error}); {expected}") from error
+    if priors.shape != (len(CATEGORIES), 1024, 3) or priors.dtype.kind != "f":
+        raise AssetError(f"{path}: it holds {priors.shape} of {priors.dtype}; {expected}")
+    diagonals = np.linalg.norm(np.ptp(priors, axis=1), axis=-1)
+    if not np.all((diagonals > 0.5) & (diagonals < 2)):  # NaN is neither
+        raise AssetError(f"{path}: the diagonals are {np.round(diagonals, 3)}; {expected}")
+    single: NDArray[np.float32] = priors.astype(np.float32)
+    return single

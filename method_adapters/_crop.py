@@ -1,0 +1,130 @@
+"""From an observation to what the networks see: the crop rule of the NOCS code, and the sampling
+of image and points that SPD, CR-Net, SGPA and DPDN share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.types import Camera
+
+Image = NDArray[np.float32]
+
+#: Side of the networks' input image, pixels.
+IMAGE_SIDE = 192
+#: Observed points that the networks take.
+POINT_COUNT = 1024
+#: Fewer pixels with depth than this are no evidence to go by.
+MIN_DEPTH_PIXELS = 32
+
+MEAN = np.array([0.485, 0.456, 0.406], np.float32)
+DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)
+
+
+class NoAnswerError(Exception):
+    """Why a method has no answer for an observation; becomes a failed prediction."""
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A square window: first ``row`` and ``column``, and ``side``, in pixels."""
+
+    row: int
+    column: int
+    side: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Index of the window in an image."""
+        return (
+            slice(self.row, self.row + self.side),
+            slice(self.column, self.column + self.side),
+        )
+
+
+def crop_of(mask: NDArray[np.bool_]) -> Crop:
+    """The window around a mask (H, W), at least 40 pixels each way.
+
+    Its side is the next multiple of 40 above the longer side of the box, at most 440 and what the
+    image holds; it is centred on the box and shifted into the image. Published codes take any
+    image for one of 480 x 640.
+    """
+    height, width = mask.shape
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    first, last = (rows[0], columns[0]), (rows[-1], columns[-1])
+    longer = max(last[0] - first[0], last[1] - first[1])
+    side = int(min((longer // 40 + 1) * 40, 440, min(height, width) // 40 * 40))
+    if side == 0:
+        raise NoAnswerError(f"the image is {width} x {height}; expected at least 40 x 40 pixels")
+    row, column = (
+        int(np.clip((low + high) // 2 - side // 2, 0, size - side))
+        for low, high, size in zip(first, last, (height, width), strict=True)
+    )
+    return Crop(row, column, side)
+
+
+def resize(image: Image, side: int) -> Image:
+    """A square image (S, S, C) to (``side``, ``side``, C), bilinear, with the conventions of
+    OpenCV's INTER_LINEAR: pixel centres at halves, no smoothing, the border repeated."""
+    size = len(image)
+    source = (np.arange(side) + 0.5) * (size / side) - 0.5
+    source = np.clip(source, 0, size - 1)
+    low = np.floor(source).astype(int)
+    high = np.minimum(low + 1, size - 1)
+    weight = (source - low).astype(np.float32)[:, None]
+    image = image[:, low] * (1 - weight) + image[:, high] * weight
+    weight = weight[:, None]
+    resized: Image = image[low] * (1 - weight) + image[high] * weight
+    return resized
+
+
+def network_image(rgb: Image, crop: Crop) -> Image:
+    """The crop of ``rgb`` (H, W, 3), 0..1, as (3, 192, 192), normalised as for ImageNet."""
+    resized = resize(rgb[crop.slices], IMAGE_SIDE)
+    return np.ascontiguousarray(((resized - MEAN) / DEVIATION).transpose(2, 0, 1))
+
+
+def depth_pixels(
+    mask: NDArray[np.bool_], depth: Image, crop: Crop
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns, within the crop, of the mask's pixels that have a depth; row-major.
+
+    Raises :class:`NoAnswerError` if there are fewer than ``MIN_DEPTH_PIXELS``.
+    """
+    valid = mask & (depth > 0)
+    rows, columns = np.nonzero(valid[crop.slices])
+    if len(rows) < MIN_DEPTH_PIXELS:
+        raise NoAnswerError(
+            f"{len(rows)} pixels of the mask have a depth, expected at least {MIN_DEPTH_PIXELS}"
+        )
+    return rows, columns
+
+
+def subset_in_order(count: int, generator: np.random.Generator) -> NDArray[np.int64]:
+    """SPD's, CR-Net's and SGPA's choice of ``POINT_COUNT`` from ``count`` pixels: a random subset
+    in its old order, or all of them repeated cyclically."""
+    if count > POINT_COUNT:
+        return np.sort(generator.choice(count, POINT_COUNT, replace=False))
+    return np.arange(POINT_COUNT) % count
+
+
+def back_project(
+    rows: NDArray[np.int64], columns: NDArray[np.int64], depth: Image, crop: Crop, camera: Camera
+) -> NDArray[np.float32]:
+    """Points (N, 3), metres, of pixels within the crop; ``depth`` (H, W) is of the whole image."""
+    v, u = rows + crop.row, columns + crop.column
+    z = depth[v, u].astype(float)
+    x, y = (u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy
+    return np.stack([x, y, z], axis=-1).astype(np.float32)
+
+
+def feature_index(
+    rows: NDArray[np.int64], columns: NDArray[np.int64], crop: Crop
+) -> NDArray[np.int64]:
+    """Row-major indices into the 192 x 192 feature map of pixels within the crop."""
+    ratio = IMAGE_SIDE / crop.side
+    index = np.floor(rows * ratio) * IMAGE_SIDE + np.floor(columns * ratio)
+    whole: NDArray[np.int64] = index.astype(np.int64)
+    return whole

@@ -1,0 +1,114 @@
+"""Reading published checkpoints, and running networks on a device."""
+
+from __future__ import annotations
+
+import pickle
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from method_adapters._assets import AssetError
+
+#: Where published checkpoints keep the weights, if not at the top.
+NESTED = ("model", "state_dict")
+
+
+def read_checkpoint(path: Path) -> dict[str, Tensor]:
+    """The tensors of a checkpoint by parameter name, on the CPU.
+
+    Read without running what is in the file. Weights below a key of ``NESTED``, and names with the
+    prefix ``module.`` that DataParallel gives, become plain ones. Raises :class:`AssetError`.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (
+        pickle.UnpicklingError,
+        RuntimeError,
+        EOFError,
+        ValueError,
+        zipfile.BadZipFile,
+    ) as error:
+        reason = str(error).strip().splitlines()
+        raise AssetError(
+            f"{path} ({path.stat().st_size} bytes) cannot be read as tensors alone: it is damaged,"
+            " torn, a web page, or it holds code, which is never run. Fetch it again"
+            f" ({type(error).__name__}: {reason[0] if reason else 'no reason given'})"
+        ) from error
+    for key in NESTED:
+        if isinstance(content, Mapping) and isinstance(content.get(key), Mapping):
+            content = content[key]
+            break
+    if not isinstance(content, Mapping) or not content:
+        raise AssetError(f"{path}: it holds a {type(content).__name__}, expected named tensors")
+    other = [str(key) for key, value in content.items() if not isinstance(value, Tensor)]
+    if other:
+        raise AssetError(f"{path}: {_some(other)} are no tensors, expected tensors alone")
+    if all(key.startswith("module.") for key in content):
+        return {key.removeprefix("module."): value for key, value in content.items()}
+    return dict(content)
+
+
+def load_weights(network: nn.Module, path: Path, unused: Sequence[str] = ()) -> None:
+    """Fill a network from a checkpoint that has its parameters, those that start with an entry of
+    ``unused``, and no others. Raises :class:`AssetError`."""
+    weights = {k: v for k, v in read_checkpoint(path).items() if not k.startswith(tuple(unused))}
+    wanted = network.state_dict()
+    # the counter of batch norm takes no part in inference; checkpoints older than it lack it
+    missing = [k for k in wanted if k not in weights and not k.endswith(".num_batches_tracked")]
+    extra = [k for k in weights if k not in wanted]
+    other = [
+        f"{k} {tuple(weights[k].shape)} for {tuple(wanted[k].shape)}"
+        for k in wanted
+        if k in weights and weights[k].shape != wanted[k].shape
+    ]
+    if missing or extra or other:
+        seen = [
+            f"{len(keys)} {what} ({_some(keys)})"
+            for keys, what in (
+                (missing, "missing"),
+                (extra, "not known"),
+                (other, "of other shape"),
+            )
+            if keys
+        ]
+        raise AssetError(
+            f"{path} is not a checkpoint of {type(network).__name__}: of its {len(wanted)}"
+            f" parameters {'; '.join(seen)}. Is it another method's, or another version's?"
+        )
+    network.load_state_dict(weights, strict=False)
+
+
+def _some(keys: Sequence[str]) -> str:
+    return ", ".join(keys[:3]) + (", ..." if len(keys) > 3 else "")
+
+
+class Runner:
+    """A network in evaluation mode on a device; arrays in, arrays out."""
+
+    def __init__(self, network: nn.Module, device: str) -> None:
+        """Raises ValueError for a device that torch does not know or does not see."""
+        try:
+            self._device = torch.device(device)
+        except RuntimeError as error:
+            raise ValueError(f"device {device!r}: expected cpu, cuda or cuda:N") from error
+        count = torch.cuda.device_count()
+        if self._device.type == "cuda" and (self._device.index or 0) >= count:
+            raise ValueError(f"device {device!r}: torch {torch.__version__} sees {count} of them")
+        self._network = network.eval().to(self._device)
+
+    def __call__(self, *inputs: NDArray[Any]) -> tuple[NDArray[np.float64], ...]:
+        """The outputs for one batch of ``inputs``; always the same on one device."""
+        with (
+            torch.inference_mode(),
+            torch.backends.cudnn.flags(
+                enabled=True, benchmark=False, deterministic=True, allow_tf32=False
+            ),
+        ):
+            outputs = self._network(*(torch.from_numpy(x).to(self._device) for x in inputs))
+            return tuple(output.double().cpu().numpy() for output in outputs)

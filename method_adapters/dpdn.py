@@ -1,0 +1,61 @@
+"""``dpdn``: Deep Prior Deformation Network (Lin, Wei, Ding & Jia, ECCV 2022)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from method_adapters._assets import NOCS_TERMS
+from method_adapters._crop import POINT_COUNT, NoAnswerError
+from method_adapters._depth_filling import fill_depth
+from method_adapters._prior_method import MUG_OFFSET, Array, Inputs, PriorMethod, method_info
+from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, Observation
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+class Dpdn(PriorMethod):
+    """DPDN as a :class:`pytest_cpas.types.Method`."""
+
+    info = method_info(
+        "dpdn",
+        Asset(
+            "dpdn/log/supervised/epoch_30.pth",
+            "https://drive.google.com/file/d/1hWkbH4Z0RXQeYLxC_kOINxdTnDLtm9SX (a zip; unpack it"
+            " below dpdn/)",
+            f"MIT; {NOCS_TERMS}",
+        ),
+        "MIT",
+    )
+    # ImageNet's classifier
+    unused = ("rgb_extractor.model.feats.fc.",)
+
+    @staticmethod
+    def network() -> nn.Module:
+        """DPDN's network."""
+        from method_adapters._networks.dpdn import DpdnNet
+
+        return DpdnNet()
+
+    def pick(self, count: int, generator: np.random.Generator) -> NDArray[np.int64]:
+        """At random, each pixel once if there are enough."""
+        return generator.choice(count, POINT_COUNT, replace=count <= POINT_COUNT)
+
+    def depth_of(self, observation: Observation) -> NDArray[np.float32]:
+        """With its holes filled and smoothed, whole image."""
+        return fill_depth(observation.depth)
+
+    def interpret(
+        self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
+    ) -> Hypothesis:
+        """The network's own pose and size; the shape is scaled by the size's diagonal."""
+        _, shape, rotation, translation, size = outputs
+        if not np.all(size > 0):  # NaN is not
+            raise NoAnswerError(f"the estimated size is {size.tolist()}, not positive")
+        points = shape * np.linalg.norm(size)
+        if CATEGORIES[int(inputs.category)] == "mug":
+            points = points - np.array([MUG_OFFSET * np.linalg.norm(size), 0, 0])
+        return Hypothesis(rotation, translation, size, points=points)

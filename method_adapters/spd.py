@@ -1,0 +1,49 @@
+"""``spd``: Shape Prior Deformation (Tian, Ang & Lee, ECCV 2020)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from method_adapters._assets import NOCS_TERMS
+from method_adapters._prior_method import (
+    Array,
+    Inputs,
+    PriorMethod,
+    method_info,
+    pose_from_assignment,
+)
+from pytest_cpas.types import Asset, Hypothesis
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+class Spd(PriorMethod):
+    """SPD as a :class:`pytest_cpas.types.Method`."""
+
+    info = method_info(
+        "spd",
+        Asset(
+            "spd/deformnet_eval/real/model_50.pth",
+            "https://drive.google.com/file/d/1p72NdY4Bie_sra9U8zoUNI4fTrQZdbnc (a zip; unpack it"
+            " below spd/)",
+            f"MIT; {NOCS_TERMS}",
+        ),
+        "MIT",
+    )
+
+    @staticmethod
+    def network() -> nn.Module:
+        """SPD's network."""
+        from method_adapters._networks.spd import SpdNet
+
+        return SpdNet()
+
+    def interpret(
+        self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
+    ) -> Hypothesis:
+        """From assignment and deformation."""
+        assign, deltas = outputs
+        return pose_from_assignment(inputs, assign, deltas, generator)
