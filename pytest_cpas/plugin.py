@@ -7,7 +7,6 @@ is given: people install this plugin beside unrelated projects.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -169,18 +168,3 @@ def pytest_configure(config: pytest.Config) -> None:
     from pytest_cpas.session import CpasSession
 
     config.pluginmanager.register(CpasSession(config), "cpas-session")
-
-
-def golden_folder(config: pytest.Config) -> Path:
-    """Where golden tables are read first and written.
-
-    The default is in the root directory if that is the project's. Without a configuration file
-    pytest may take the folder behind ``--cpas-data DIR`` for it, so then it is where pytest was
-    started.
-    """
-    here = config.invocation_params.dir
-    named: str | None = config.option.cpas_golden
-    if named:
-        return here / named
-    is_project = config.inipath is not None and here.is_relative_to(config.rootpath)
-    return (config.rootpath if is_project else here) / str(config.getini("cpas_golden") or "golden")

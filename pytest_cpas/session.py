@@ -28,7 +28,6 @@ from pytest_cpas.golden import (
     find_golden,
     recorded_golden,
 )
-from pytest_cpas.plugin import golden_folder
 from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.terminal import print_run
@@ -57,7 +56,7 @@ class CpasSession:
         self.config = config
         self.is_controller = not hasattr(config, "workerinput")
         self.update = bool(config.getoption("update_snapshots", False))
-        self.golden = golden_folder(config)
+        self.golden = _golden_folder(config)
         self.runs: list[Run] = _resolve_runs(config)
         self.files = _results_files(config, self.runs)
         self.rows: dict[Run, dict[str, Row]] = {
@@ -279,6 +278,21 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     if len(set(names)) < len(names):
         raise pytest.UsageError(f"the same method and data set twice: {names}")
     return runs
+
+
+def _golden_folder(config: pytest.Config) -> Path:
+    """Where golden tables are read first and written.
+
+    The default is in the root directory if that is the project's. Without a configuration file
+    pytest may take the folder behind ``--cpas-data DIR`` for it, so then it is where pytest was
+    started.
+    """
+    here = config.invocation_params.dir
+    named: str | None = config.option.cpas_golden
+    if named:
+        return here / named
+    is_project = config.inipath is not None and here.is_relative_to(config.rootpath)
+    return (config.rootpath if is_project else here) / str(config.getini("cpas_golden") or "golden")
 
 
 def _results_files(config: pytest.Config, runs: Sequence[Run]) -> dict[Run, ResultsFile]:
