@@ -1,4 +1,4 @@
-"""Finding methods and data sets by name; only what is asked for is imported."""
+"""Finding methods, data sets and metrics by name; only what is asked for is imported."""
 
 from __future__ import annotations
 
@@ -7,14 +7,24 @@ import importlib
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
-Kind = Literal["method", "dataset"]
+Kind = Literal["method", "dataset", "metric"]
 
 #: What can be registered, in words.
-KINDS: dict[Kind, str] = {"method": "method", "dataset": "data set"}
+KINDS: dict[Kind, str] = {
+    "method": "method",
+    "dataset": "data set",
+    "metric": "metric implementation",
+}
+
+_OWN: dict[Kind, str] = {
+    "method": "package.module:Class",
+    "dataset": "package.module:Class",
+    "metric": "package.module",
+}
 
 
 class RegistryError(Exception):
-    """A name that cannot be turned into a method or a data set."""
+    """A name that cannot be turned into what it names."""
 
 
 def registered(kind: Kind) -> list[EntryPoint]:
@@ -23,7 +33,9 @@ def registered(kind: Kind) -> list[EntryPoint]:
 
 
 def resolve(kind: Kind, name: str) -> Any:
-    """The class registered as ``name``, or named as ``package.module:Class``.
+    """What is registered as ``name``, or named as ``package.module:Class``.
+
+    Metric implementations are mappings ``METRICS``; ``package.module`` names one as well.
 
     Raises :class:`RegistryError` for an unknown name, an ambiguous one, or an import that fails;
     for a registered name it says which distribution is to blame.
@@ -31,6 +43,8 @@ def resolve(kind: Kind, name: str) -> Any:
     if ":" in name:
         module, _, attribute = name.partition(":")
         return _load(kind, name, module, attribute, "")
+    if kind == "metric" and "." in name:
+        return _load(kind, name, name, "METRICS", "")
     entries = [entry for entry in registered(kind) if entry.name == name]
     if not entries:
         known = [entry.name for entry in registered(kind)]
@@ -38,13 +52,13 @@ def resolve(kind: Kind, name: str) -> Any:
         hint = f" Did you mean {close[0]!r}?" if close else ""
         raise RegistryError(
             f"unknown {KINDS[kind]} {name!r}.{hint} Registered: {', '.join(known) or 'none'}"
-            " (pytest --cpas-list); a class of your own is named package.module:Class"
+            f" (pytest --cpas-list); one of your own is named {_OWN[kind]}"
         )
     if len({entry.value for entry in entries}) > 1:
         owners = ", ".join(f"{_owner(entry)} ({entry.value})" for entry in entries)
         raise RegistryError(
             f"{KINDS[kind]} {name!r} is registered by several distributions: {owners}."
-            " Uninstall one, or name the class itself as package.module:Class"
+            f" Uninstall one, or name your own as {_OWN[kind]}"
         )
     entry = entries[0]
     return _load(kind, name, entry.module, entry.attr, f", registered by {_owner(entry)}")
