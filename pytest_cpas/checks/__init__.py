@@ -1,0 +1,40 @@
+"""Conformance of metric implementations: properties that every implementation must keep.
+
+Usable without pytest::
+
+    from pytest_cpas.checks import PROPERTIES, check, load_subject
+
+    subject = load_subject("my_package.my_adapter")
+    for prop in PROPERTIES.values():
+        result = check(subject, prop)
+        print(prop.name, result.outcome, result.message)
+
+``docs/metric-conformance.md`` says how an adapter is written.
+"""
+
+from pytest_cpas.checks.metric_adapter import KNOWN, Box, Offer, Sample, offer
+from pytest_cpas.checks.properties import PROPERTIES, Property
+from pytest_cpas.checks.running import Result, as_subject, check, load_subject, replay
+from pytest_cpas.checks.subject import Finding, Outcome, Subject
+
+# the modules register their properties when they are imported; the matrix follows this order
+from pytest_cpas.checks import rotations  # isort: skip
+
+__all__ = [
+    "KNOWN",
+    "PROPERTIES",
+    "Box",
+    "Finding",
+    "Offer",
+    "Outcome",
+    "Property",
+    "Result",
+    "Sample",
+    "Subject",
+    "as_subject",
+    "check",
+    "load_subject",
+    "offer",
+    "replay",
+    "rotations",
+]

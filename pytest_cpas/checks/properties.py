@@ -1,0 +1,82 @@
+"""What a property is, and how its body says what it expects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hypothesis import strategies as st
+
+from pytest_cpas.checks.subject import Finding, Outcome, Subject
+
+__all__ = ["PROPERTIES", "Property", "close", "expect", "prop"]
+
+Body = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Property:
+    """Something that every implementation of a metric must keep.
+
+    ``name``: ``metric.property``. ``statement``: one line. ``reason``: why it must hold, or what
+    it finds. ``given``: strategies of plain values (numbers, lists, strings), by the name of the
+    body's arguments. ``applies``: whether it makes sense under the subject's definition.
+    ``weight``: its share of examples, below 1 for what is slow.
+    """
+
+    name: str
+    statement: str
+    reason: str
+    needs: tuple[str, ...]
+    given: Mapping[str, st.SearchStrategy[Any]]
+    body: Body
+    applies: Callable[[Subject], bool] = lambda subject: True
+    weight: float = 1.0
+
+    def offered_by(self, subject: Subject) -> bool:
+        """Whether the subject offers all that is needed, under a definition that fits."""
+        return all(metric in subject.offers for metric in self.needs) and self.applies(subject)
+
+
+#: All properties by name, in the order of the matrix.
+PROPERTIES: dict[str, Property] = {}
+
+
+def prop(
+    *metrics: str,
+    reason: str,
+    given: Mapping[str, st.SearchStrategy[Any]],
+    applies: Callable[[Subject], bool] = lambda subject: True,
+    weight: float = 1.0,
+    name: str = "",
+) -> Callable[[Body], Body]:
+    """Register a body ``(subject, **given)`` as a property of the first of ``metrics``.
+
+    The first line of its docstring is the statement.
+    """
+
+    def register(body: Body) -> Body:
+        full = f"{metrics[0]}.{name or body.__name__}"
+        if full in PROPERTIES:
+            raise ValueError(f"two properties are called {full}")
+        statement = (body.__doc__ or "").split("\n")[0].rstrip(".")
+        PROPERTIES[full] = Property(full, statement, reason, metrics, given, body, applies, weight)
+        return body
+
+    return register
+
+
+def expect(holds: object, message: str) -> None:
+    """Violate the property with ``message`` unless ``holds``."""
+    if not holds:
+        raise Finding(Outcome.VIOLATED, message)
+
+
+def close(value: float, expected: float, tolerance: float, what: str = "the value") -> None:
+    """Expect ``value`` within ``tolerance`` (absolute) of ``expected``; NaN never is."""
+    expect(
+        math.isfinite(value) and abs(value - expected) <= tolerance,
+        f"{what} is {value!r}, expected {expected!r} within {tolerance:.3g}",
+    )

@@ -1,0 +1,1 @@
+"""Adapters of metric implementations: our own and published ones, with what they violate."""
