@@ -157,14 +157,18 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
 def pytest_configure(config: pytest.Config) -> None:
     """Resolve what is asked for before collection, so that a mistake is a usage error."""
     options = config.option
-    asked = (
+    if options.help or options.version:
+        return
+    if (
         options.cpas_method
         or options.cpas_dataset
         or options.cpas_predictions
         or options.cpas_merge
-    )
-    if not asked or options.help or options.version:
-        return
-    from pytest_cpas.session import CpasSession
+    ):
+        from pytest_cpas.session import CpasSession
 
-    config.pluginmanager.register(CpasSession(config), "cpas-session")
+        config.pluginmanager.register(CpasSession(config), "cpas-session")
+    if options.cpas_metrics:
+        from pytest_cpas.checks.session import MetricsSession
+
+        config.pluginmanager.register(MetricsSession(config), "cpas-metrics-session")
