@@ -138,6 +138,19 @@ def test_broken_answer_fails_its_sample_only(recorded, method, words, how):
     )
 
 
+def test_dying_worker_costs_its_sample_only(recorded):
+    result = recorded("Dies", "-n2")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(
+        [
+            "worker 'gw?' crashed while running 'cpas::test_sample*mug-scene_1/0005]'",
+            "11 of 12 samples judged",
+            "golden: MATCHES bowl: all 6 samples agree with the golden table",
+            "golden: NOT CHECKED mug: 5 of 6 judged; the 5 judged agree with the golden table",
+        ]
+    )
+
+
 def test_wrong_number_of_answers(cpas):
     result = cpas("WrongLength")
     assert result.ret == 1

@@ -4,6 +4,7 @@ The first pixel's colour tells which sample an image is, so that a method can kn
 be wrong in exactly the way that a test wants.
 """
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -174,6 +175,11 @@ class ForgetsShape(Broken):
 class Raises(Broken):
     def broken(self, index: int) -> Prediction:
         raise RuntimeError("the network exploded")
+
+
+class Dies(Broken):
+    def broken(self, index: int) -> Prediction:
+        os._exit(9)
 
 
 class WrongLength(Perfect):
