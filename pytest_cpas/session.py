@@ -37,7 +37,7 @@ from pytest_cpas.types import ContractError, Method, MethodInfo, SampleRef
 #: Where an item keeps what it found out: rows, and errors of samples without one.
 FOUND = pytest.StashKey["Found"]()
 
-SUITE = Path(__file__).parent / "suite"
+SUITE = Path(__file__).parent / "suite" / "test_samples.py"
 
 
 @dataclass
@@ -64,9 +64,8 @@ class CpasSession:
         }
         self.verdicts: dict[Run, list[Verdict]] = {}
         self._broken = 0
-        suite = str(SUITE / "test_samples.py")
         named = config.args_source is pytest.Config.ArgsSource.ARGS
-        config.args = [*config.args, suite] if named else [suite]
+        config.args = [*config.args, str(SUITE)] if named else [str(SUITE)]
 
     def groups(self, run: Run) -> Iterable[tuple[str, list[SampleRef]]]:
         """The samples of a run as (name, samples), one group per test item."""
@@ -85,7 +84,7 @@ class CpasSession:
         self, module_path: Path, parent: pytest.Collector
     ) -> pytest.Module | None:
         """Give the shipped suite short node ids that are the same wherever it is installed."""
-        if module_path.parent != SUITE:
+        if module_path != SUITE:
             return None
         module: pytest.Module = pytest.Module.from_parent(
             parent, path=module_path, name="cpas", nodeid="cpas"
