@@ -265,6 +265,13 @@ def read_golden(folder: Path) -> GoldenTable:
         raise _damaged(folder, str(error)) from error
     if content.get("format") != FORMAT:
         raise _damaged(folder, f"format is {content.get('format')!r}, this version reads {FORMAT}")
+    sections = [content.get(name) for name in ("identity", "provenance", "cells")]
+    for section in sections:
+        if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
+            raise _damaged(
+                folder, "table.toml: [identity], [provenance], [cells] must hold strings"
+            )
+    identity, provenance, cells = sections
     if content.get("samples_sha256") != hashlib.sha256(text.encode()).hexdigest():
         raise _damaged(folder, "samples.csv is not the file that table.toml was made with")
     lines = list(csv.reader(io.StringIO(text, newline="")))
@@ -274,11 +281,11 @@ def read_golden(folder: Path) -> GoldenTable:
     golden = GoldenTable(
         folder.parent.name,
         folder.name,
-        content.get("identity", {}),
-        content.get("provenance", {}),
+        identity,
+        provenance,
         samples,
     )
-    stored = [f"{_quoted(k)} = {_quoted(v)}" for k, v in content.get("cells", {}).items()]
+    stored = [f"{_quoted(k)} = {_quoted(v)}" for k, v in cells.items()]
     valid = all(re.fullmatch(f"[01-]{{{len(THRESHOLDS)}}}", s.outcome) for s in samples.values())
     if not valid or stored != _cell_lines(golden.table):
         raise _damaged(folder, "the cells of table.toml are not the sums of samples.csv")

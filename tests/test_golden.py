@@ -171,6 +171,8 @@ def test_every_changed_byte_of_the_samples_is_noticed(tmp_path):
         ('"mug | 5 deg, 1 cm" = "5/5"', '"mug | 5 deg, 1 cm" = 5'),
         ("format = 1", "format = 2"),
         ("[cells]", "[cells"),
+        ("[cells]", "[other]"),
+        ("[provenance]", "provenance = 3"),
     ],
 )
 def test_edited_table_is_refused(tmp_path, edit):
