@@ -265,7 +265,7 @@ def read_golden(folder: Path) -> GoldenTable:
         raise _damaged(folder, str(error)) from error
     if content.get("format") != FORMAT:
         raise _damaged(folder, f"format is {content.get('format')!r}, this version reads {FORMAT}")
-    sections = [content.get(name) for name in ("identity", "provenance", "cells")]
+    sections = [content.get(name, 0) for name in ("identity", "provenance", "cells")]
     for section in sections:
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
             raise _damaged(
