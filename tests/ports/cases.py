@@ -1,0 +1,166 @@
+"""Inputs made from a seed, and the checks against recorded outputs that the tests share.
+
+``python tests/ports/cases.py`` records: only ever from code that agrees with the original networks
+(test_port_networks.py, with the shared data).
+"""
+
+import functools
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import recipe
+import torch
+
+from method_adapters._networks.crnet import CrNet
+from method_adapters._networks.dpdn import DpdnNet
+from method_adapters._networks.sgpa import SgpaNet
+from method_adapters._networks.spd import SpdNet
+from method_adapters._prior_method import PriorMethod
+from method_adapters.crnet import CrNet as CrNetMethod
+from method_adapters.dpdn import Dpdn
+from method_adapters.sgpa import Sgpa
+from method_adapters.spd import Spd
+from pytest_cpas.types import CATEGORIES, Camera, Observation
+
+NETWORKS = {"spd": SpdNet, "crnet": CrNet, "sgpa": SgpaNet, "dpdn": DpdnNet}
+METHODS: dict[str, type[PriorMethod]] = {
+    "spd": Spd,
+    "crnet": CrNetMethod,
+    "sgpa": Sgpa,
+    "dpdn": Dpdn,
+}
+#: Relative L2 difference that the order of float32 sums explains.
+TOLERANCE = 1e-5
+#: With these weights DPDN estimates positive sizes.
+SEED = 12
+GOLDEN = Path(__file__).with_name("recorded")
+
+
+@functools.cache
+def network(name: str) -> torch.nn.Module:
+    """In evaluation mode, with the recipe's weights."""
+    made = NETWORKS[name]()
+    made.load_state_dict(recipe.state_dict(recipe.inventory_of(made), SEED))
+    return made.eval()
+
+
+def relative(actual: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(actual - expected) / np.linalg.norm(expected))
+
+
+def priors() -> np.ndarray:
+    """Stands for the mean shapes: six ellipsoids with a diagonal of 1, the mug's off the origin."""
+    random = np.random.RandomState(5)
+    points = random.standard_normal((6, 1024, 3))
+    points /= np.linalg.norm(points, axis=2, keepdims=True)
+    points *= random.uniform(0.4, 1, (6, 1, 3))
+    points /= np.linalg.norm(np.ptp(points, axis=1), axis=1)[:, None, None]
+    points[5, :, 0] += 0.08
+    return points
+
+
+def network_inputs() -> list[torch.Tensor]:
+    """Two samples with images of 48 x 48: a camera of 10 cm, a mug of 5 cm with repeated points."""
+    random = np.random.RandomState(7)
+    extents = np.array([[0.12, 0.2, 0.1], [0.05, 0.09, 0.05]])
+    points = random.uniform(-0.5, 0.5, (2, 1024, 3)) * extents[:, None] + [0.05, 0.02, 0.8]
+    points[1, 700:] = points[1, :324]
+    image = random.standard_normal((2, 3, 48, 48))
+    choose = random.randint(0, 48 * 48, (2, 1024))
+    arrays = [points, image, choose, np.array([2, 5]), priors()[[2, 5]]]
+    return [torch.from_numpy(x if x.dtype.kind == "i" else x.astype(np.float32)) for x in arrays]
+
+
+def outputs_of(net: torch.nn.Module, inputs: list[torch.Tensor]) -> list[np.ndarray]:
+    with torch.inference_mode():
+        return [x.numpy() for x in net(*inputs)]
+
+
+def thinned(x: np.ndarray) -> np.ndarray:
+    return np.ravel(x)[:: max(1, x.size // 1500)]
+
+
+def check_network(name: str) -> None:
+    """The network's outputs are those recorded."""
+    recorded = np.load(GOLDEN / f"{name}.npz")
+    for i, output in enumerate(outputs_of(network(name), network_inputs())):
+        expected = recorded[f"network_{i}"]
+        difference = relative(thinned(output), expected)
+        assert difference <= TOLERANCE, f"{name}, output {i}: {difference:.2e}"
+
+
+def observation(category: str, centre: tuple[float, float], radius: float) -> Observation:
+    """A ball in front of a wall, coloured by place, with holes in the depth; 640 x 480."""
+    camera = Camera(640, 480, 577.0, 579.0, 319.5, 239.5)
+    v, u = np.mgrid[:480, :640]
+    away = np.hypot(u - centre[0], v - centre[1])
+    mask = away < radius
+    depth = np.where(mask, 0.8 - 0.05 * np.sqrt(np.maximum(1 - (away / radius) ** 2, 0)), 1.3)
+    depth[(u * 7 + v * 13) % 29 == 0] = 0
+    rgb = np.stack([u / 639, v / 479, (u * v % 97) / 96], axis=-1)
+    return Observation(category, rgb.astype(np.float32), depth.astype(np.float32), mask, camera)
+
+
+def observations() -> list[Observation]:
+    """At the image's corner with more pixels than points; fewer pixels than points."""
+    return [observation("mug", (620, 463), 32), observation("can", (420.3, 330.8), 14.2)]
+
+
+def write_assets(folder: Path, names: Iterable[str] = METHODS) -> Path:
+    """A folder for --cpas-weights with the recipe's weights and made-up priors."""
+    folder.mkdir(parents=True, exist_ok=True)
+    np.save(folder / "mean_points_emb.npy", priors())
+    for name in names:
+        path = folder / METHODS[name].info.assets[0].path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        torch.save(network(name).state_dict(), path)
+    return folder
+
+
+def prepared(method: PriorMethod) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What a loaded method's network sees of the observations, and its outputs."""
+    generator = np.random.default_rng
+    inputs = [method.prepare(seen, generator(seed)) for seed, seen in enumerate(observations())]
+    stacked = [np.stack(part) for part in zip(*inputs, strict=True)]
+    return stacked, list(method._run(*stacked))
+
+
+def loaded(name: str) -> PriorMethod:
+    """As :meth:`load` leaves it, without files."""
+    from method_adapters._networks.running import Runner
+
+    method = METHODS[name]()
+    method._priors = priors().astype(np.float32)
+    method._run = Runner(network(name), "cpu")
+    return method
+
+
+def check_adapter(name: str) -> None:
+    """What the network sees, and raw outputs, are those recorded."""
+    recorded = np.load(GOLDEN / f"{name}.npz")
+    inputs, outputs = prepared(loaded(name))
+    for what, arrays in (("input", inputs), ("raw", outputs)):
+        for i, array in enumerate(arrays):
+            expected = recorded[f"{what}_{i}"]
+            difference = relative(thinned(array), expected)
+            limit = 0 if array.dtype.kind == "i" else TOLERANCE
+            assert difference <= limit, f"{name}, {what} {i}: {difference:.2e}"
+
+
+def record() -> None:
+    GOLDEN.mkdir(exist_ok=True)
+    for name in NETWORKS:
+        outputs = outputs_of(network(name), network_inputs())
+        arrays = {f"network_{i}": thinned(x) for i, x in enumerate(outputs)}
+        for what, group in zip(("input", "raw"), prepared(loaded(name)), strict=True):
+            arrays |= {f"{what}_{i}": thinned(x) for i, x in enumerate(group)}
+        small = {k: v if v.dtype.kind == "i" else v.astype(np.float32) for k, v in arrays.items()}
+        np.savez_compressed(GOLDEN / f"{name}.npz", **small)
+
+
+if __name__ == "__main__":
+    assert [m.info.name for m in METHODS.values()] == list(METHODS)
+    assert CATEGORIES[5] == "mug"
+    torch.set_num_threads(1)
+    record()

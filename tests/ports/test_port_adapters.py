@@ -1,0 +1,94 @@
+import subprocess
+import sys
+
+import cases
+import numpy as np
+import pytest
+
+from pytest_cpas.datasets.nocs import Real275
+from pytest_cpas.evaluation import MethodRun, check_answers
+from pytest_cpas.frames import to_standard
+from pytest_cpas.types import CATEGORIES, Observation
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    return cases.write_assets(tmp_path_factory.mktemp("weights") / "all")
+
+
+@pytest.fixture(scope="module", params=cases.METHODS)
+def method(request, weights):
+    made = cases.METHODS[request.param]()
+    made.load(weights, "cpu")
+    return made
+
+
+def same(a, b):
+    assert a.reason == b.reason
+    for x, y in zip(a.hypotheses, b.hypotheses, strict=True):
+        for part in ("rotation", "translation", "extents", "points"):
+            np.testing.assert_array_equal(getattr(x, part), getattr(y, part))
+
+
+@pytest.mark.parametrize("name", cases.METHODS)
+def test_recorded_inputs_and_raw_outputs(name):
+    cases.check_adapter(name)
+
+
+def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
+    seen = cases.observations()[:1]
+    predictions = method.predict(seen, 3)
+    check_answers(predictions, method.info)
+    same(predictions[0], method.predict(seen, 3)[0])
+    inputs = [method.prepare(seen[0], np.random.default_rng(seed)).choose for seed in (3, 3, 4)]
+    assert np.array_equal(inputs[0], inputs[1])
+    assert not np.array_equal(inputs[0], inputs[2])
+    if method.info.name == "dpdn":
+        assert predictions[0].hypotheses
+    for hypothesis in predictions[0].hypotheses:
+        standard = to_standard(hypothesis, method.info)
+        if method.info.name != "dpdn":
+            np.testing.assert_allclose(standard.extents, 2 * np.abs(standard.points).max(axis=0))
+
+
+def test_batch_with_and_without_answers(method):
+    """Bad observations get their reasons and leave the others alone."""
+    good = cases.observations()
+    few = cases.observation("mug", (300, 200), 3)
+    strange = cases.observation("teapot", (300, 200), 45)
+    flat = Observation("can", good[0].rgb, 0 * good[0].depth, good[0].mask, good[0].camera)
+    answers = method.predict([few, good[0], strange, flat, good[1]], 0)
+    assert "pixels of the mask have a depth, expected at least 32" in answers[0].reason
+    assert f"category 'teapot': {method.info.name} knows bottle," in answers[2].reason
+    assert answers[3].reason.startswith("0 pixels of the mask")
+    for answer, alone in zip(answers[1::3], method.predict(good, 0), strict=True):
+        same(answer, alone)
+    assert method.predict([few], 0)[0].reason == answers[0].reason
+    assert method.predict([], 0) == []
+
+
+def test_declaration(method):
+    assert method.info.categories == CATEGORIES
+    assert method.info.object_frame == "nocs"
+    for asset in method.info.assets:
+        assert asset.url.startswith("https://")
+        assert asset.licence
+
+
+def test_real_frame(method, test_data):
+    run = MethodRun(method, Real275(test_data / "real275"))
+    run.__dict__["_loaded"] = method
+    rows = [run.judge(ref) for ref in run.samples]
+    assert len(rows) == 5
+    assert all(row.failure is None or "no pose fits" in row.failure for row in rows)
+    assert any(row.failure is None and row.fscore_1cm is not None for row in rows)
+
+
+def test_torch_is_imported_only_to_load():
+    code = (
+        "import sys, pytest_cpas.plugin;"
+        "from method_adapters import crnet, dpdn, sgpa, spd;"
+        "print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False"]

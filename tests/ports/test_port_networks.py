@@ -1,0 +1,150 @@
+import json
+
+import cases
+import numpy as np
+import pytest
+import recipe
+import torch
+
+# the order in which our networks take what the parity files call otherwise
+INPUTS = {
+    "spd": ("points", "img", "choose", "cat_id", "prior"),
+    "crnet": ("points", "img", "choose", "cat_id", "prior"),
+    "sgpa": ("points", "img", "choose", "cat_id", "prior"),
+    "dpdn": ("pts", "rgb", "choose", "category_label", "prior"),
+}
+OUTPUTS = {
+    "spd": ("assign", "deltas"),
+    "crnet": ("assign", "deltas"),
+    "sgpa": ("weighted_xyz", "assign", "deltas"),
+    "dpdn": ("pred_attention", "pred_qv", "pred_rotation", "pred_translation", "pred_size"),
+}
+SAMPLERS = {
+    "sgpa": {"instance": ("instance_geometry", "points"), "category": ("category_local", "prior")},
+    "dpdn": {
+        "pts": ("pts_extractor", "pts"),
+        "small_pts": ("pts_extractor", "small_pts"),
+        "prior": ("prior_extractor", "prior"),
+    },
+}
+
+
+def with_published_weights(shared_ports, name):
+    """The network, loaded with the recipe's weights by the published names, and its data."""
+    inventory = json.loads((shared_ports / "inventory" / f"{name}.json").read_text())
+    data = np.load(shared_ports / "parity" / f"{name}.npz")
+    weights = recipe.state_dict(inventory, int(data["weights_seed"]))
+    assert recipe.sha256(weights) == str(data[f"weights_sha256__{name}"])
+    unused = cases.METHODS[name].unused
+    used = {k: v for k, v in weights.items() if not k.startswith(unused or ("-",))}
+    assert len(weights) - len(used) == {"sgpa": 16, "dpdn": 2}.get(name, 0)
+    network = cases.NETWORKS[name]()
+    network.load_state_dict(used, strict=True)
+    return network.eval(), data
+
+
+@pytest.mark.parametrize("name", cases.NETWORKS)
+def test_every_output_and_tap_of_the_original(shared_ports, name):
+    network, data = with_published_weights(shared_ports, name)
+    seen = {}
+    calls = {}
+
+    def tap(path):
+        def keep(module, arguments, result):
+            call = calls[path] = calls.get(path, -1) + 1
+            parts = result if isinstance(result, tuple) else (result,)
+            seen.update({f"tap__{path}__call{call}__out{j}": x for j, x in enumerate(parts)})
+
+        return keep
+
+    for path in {key.split("__")[1] for key in data.files if key.startswith("tap__")}:
+        network.get_submodule(path).register_forward_hook(tap(path))
+    inputs = [torch.from_numpy(data[f"input__{key}"]) for key in INPUTS[name]]
+    variants = {"": inputs[0]}
+    if name == "dpdn":
+        variants["small_"] = torch.from_numpy(data["input__small_pts"])
+    with torch.inference_mode():
+        for prefix, points in variants.items():
+            result = network(points, *inputs[1:])
+            for key, output in zip(OUTPUTS[name], result, strict=True):
+                seen[f"output__{prefix}{key}"] = output
+
+    checked = 0
+    for key in data.files:
+        base = key.removesuffix("__sub")
+        if not key.startswith(("output__", "tap__")) or key.endswith(("stride", "shape", "__l2")):
+            continue
+        ours, expected = seen[base].numpy(), np.ravel(data[key])
+        thin = ours.ravel()
+        if base != key:
+            assert ours.shape == tuple(data[f"{base}__shape"]), key
+            thin = thin[:: int(data[f"{base}__stride"])]
+        difference = cases.relative(thin, expected)
+        assert difference <= cases.TOLERANCE, f"{key}: {difference:.2e}"
+        middle = expected.mean()  # what is nearly constant must not hide behind its mean
+        assert cases.relative(thin - middle, expected - middle) <= 1e-4, key
+        if f"{base}__l2" in data.files:
+            length = np.linalg.norm(ours.astype(np.float64))
+            assert length == pytest.approx(float(data[f"{base}__l2"]), rel=cases.TOLERANCE)
+        checked += 1
+    assert checked == {"spd": 6, "crnet": 8, "sgpa": 7, "dpdn": 22}[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "cloud"), [(name, cloud) for name, clouds in SAMPLERS.items() for cloud in clouds]
+)
+def test_samples_of_every_level(shared_ports, name, cloud):
+    data = np.load(shared_ports / "parity" / f"{name}.npz")
+    path, key = SAMPLERS[name][cloud]
+    xyz = torch.from_numpy(data[f"input__{key}"])
+    if name == "dpdn" and cloud != "prior":
+        xyz = xyz - xyz.mean(1, keepdim=True)
+    encoder = cases.NETWORKS[name]().get_submodule(path)
+    for level, ours in enumerate(encoder.samples(xyz)):
+        np.testing.assert_array_equal(ours.numpy(), data[f"aux__fps_{cloud}_{level}"])
+    assert level == 3
+
+
+def test_recipe_gives_the_published_numbers():
+    values = {
+        ("psp.feats.conv1.weight", (64, 3, 7, 7)): (0.0228752606, -0.0310760196, 0.159636706),
+        ("a.bn.running_var", (16,)): None,
+        ("instance_color.0.bias", (64,)): (0.034735091, 0.0240177065, 0.081075646),
+        ("psp.up_1.conv.1.weight", (1,)): (0.863838017,),
+        ("transformer64.model.encoder.norm.a_2", (64,)): (1.09468794, 0.984804094, 1.04346859),
+    }
+    for (key, shape), expected in values.items():
+        ours = recipe.value(key, shape, True, 0).ravel()
+        if expected is None:
+            assert ((ours >= 0.5) & (ours <= 1.5)).all()
+        else:
+            np.testing.assert_array_equal(ours[:3].numpy(), np.float32(expected))
+
+
+@pytest.mark.parametrize("name", cases.NETWORKS)
+def test_recorded_outputs(name):
+    cases.check_network(name)
+
+
+@pytest.mark.parametrize("name", cases.NETWORKS)
+def test_batch_equals_its_samples(name):
+    network, inputs = cases.network(name), cases.network_inputs()
+    together = cases.outputs_of(network, inputs)
+    for i in range(2):
+        alone = cases.outputs_of(network, [x[i : i + 1] for x in inputs])
+        for a, b in zip(alone, together, strict=True):
+            assert cases.relative(a, b[i : i + 1]) <= cases.TOLERANCE
+
+
+def test_category_chooses_its_own_channels():
+    """As if all categories were computed and one of them picked."""
+    from method_adapters._networks.heads import CategoryMlp
+
+    torch.manual_seed(0)
+    head = CategoryMlp(12, 8, 5, 7)
+    local, shared = torch.randn(6, 9, 20), torch.randn(6, 3, 1)
+    category = torch.tensor([3, 0, 5, 3, 1, 2])
+    ours = head.of(local, shared, category=category)
+    everything = torch.nn.Sequential.forward(head, torch.cat([local, shared.expand(-1, -1, 20)], 1))
+    picked = everything.reshape(36, 7, 20)[category + 6 * torch.arange(6)]
+    torch.testing.assert_close(ours, picked)

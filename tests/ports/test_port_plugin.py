@@ -1,0 +1,29 @@
+import subprocess
+import sys
+
+import pytest
+
+
+def test_torch_is_asked_for_where_it_is_missing(pytester):
+    """One error, before anything runs."""
+    code = """if True:
+        import importlib.util, sys
+        real = importlib.util.find_spec
+        importlib.util.find_spec = lambda name, *a: None if name == "torch" else real(name, *a)
+        import pytest
+        sys.exit(pytest.main(sys.argv[1:]))
+    """
+    args = ["-p", "no:dash", "--cpas-method=sgpa", "--cpas-dataset=synthetic-tabletop"]
+    done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True)
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    assert "pip install 'pytest-cpas[torch]'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_missing_weights_are_one_error(pytester):
+    pytest.importorskip("torch", reason="pip install 'pytest-cpas[torch]'")
+    args = ("-p", "no:dash", "--cpas-method=sgpa", "--cpas-dataset=synthetic-tabletop")
+    result = pytester.runpytest_subprocess(*args, "--cpas-weights=nowhere")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    for words in ("nowhere/sgpa/real.pth", "drive.google.com", "no licence stated"):
+        assert words in result.stderr.str()
