@@ -85,10 +85,6 @@ class Evidence:
 def _surface(observation: Observation, rng: np.random.Generator) -> tuple[Array, Array]:
     mask, depth, camera = observation.mask, observation.depth, observation.camera
     usable = mask & (depth > 0)
-    # depth at a mask's border mixes object and background
-    inner = ndimage.binary_erosion(mask, np.ones((3, 3), bool), border_value=1) & usable
-    if np.count_nonzero(inner) >= 4 * MIN_POINTS:
-        usable = inner
     cloud = camera.back_project(depth, usable)
     if len(cloud) < MIN_POINTS:
         raise TooLittleEvidenceError(
@@ -127,10 +123,13 @@ def _free_space(observation: Observation) -> FreeSpace:
     last = np.minimum(low + size + margin, mask.shape)
     window = (slice(first[0], last[0], step), slice(first[1], last[1], step))
     inside = mask[window]
-    depth = observation.depth[window].astype(float)
-    missing = depth <= 0
-    depth[missing & inside] = -FAR
-    depth[missing & ~inside] = FAR
+    measured = observation.depth[window].astype(float)
+    measured[measured <= 0] = FAR
+    # the nearest of the cells around: a flying pixel alone must not make space free
+    own, other = (
+        ndimage.minimum_filter(np.where(part, measured, FAR), size=3) for part in (inside, ~inside)
+    )
+    depth = np.where(inside, np.where(own < FAR, own, -FAR), other)
     offset = np.zeros((2, *inside.shape))
     if inside.any():  # a mask thinner than the step limits nothing beside it
         nearest = ndimage.distance_transform_edt(

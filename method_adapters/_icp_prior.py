@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from importlib import resources
 
@@ -19,10 +20,12 @@ ROUND = (*SYMMETRIC, "mug")
 #: Real objects vary more than the shapes that the prior was made from: factor on the deviations
 #: of their log extents, and what is added to them.
 WIDENING, LEAST_DEVIATION = 1.25, 0.05
-#: Surface samples per shape; how many of them lead, spread most evenly; and their seed.
-SAMPLES, EVEN_SAMPLES, SAMPLE_SEED = 6000, 400, 0
-#: Cells along the longest side of a distance grid, and its margin around the shapes' box.
-GRID_CELLS, GRID_MARGIN = 64, 0.12
+#: Surface samples that a shape's grid is made of; every how many of them is a model point; how
+#: many model points lead, spread most evenly; and the samples' seed.
+SAMPLES, THINNING, EVEN_POINTS, SAMPLE_SEED = 18_000, 3, 400, 0
+#: Cells along the longest side of a distance grid (more for the laptop, whose plates are thin
+#: beside its size), and the grid's margin around the shapes' box.
+GRID_CELLS, LAPTOP_GRID_CELLS, GRID_MARGIN = 64, 80, 0.12
 
 
 @dataclass(frozen=True)
@@ -49,20 +52,24 @@ class Prior:
     cell: float
 
     @classmethod
+    @functools.cache  # the grids take a fraction of a second, and never change
     def of(cls, category: str) -> Prior:
-        """Read the prior of ``category`` from the packaged asset and build its grids."""
+        """The prior of ``category``: read from the packaged asset, its grids built once."""
         asset = resources.files("method_adapters") / "icp_priors.npz"
         with asset.open("rb") as stream, np.load(stream) as arrays:
             vertices = arrays[f"{category}_vertices"] * 1e-5
             triangles = arrays[f"{category}_triangles"].astype(np.int64)
             mean, covariance = arrays[f"{category}_mean"], arrays[f"{category}_covariance"]
         samples = [_sample(shape, triangles) for shape in vertices]
-        points = np.stack([p for p, _ in samples])
-        normals = np.stack([n for _, n in samples])
+        thin = [(p[::THINNING], n[::THINNING]) for p, n in samples]
+        order = [_farthest_first(p, EVEN_POINTS) for p, _ in thin]
+        points = np.stack([p[index] for (p, _), index in zip(thin, order, strict=True)])
+        normals = np.stack([n[index] for (_, n), index in zip(thin, order, strict=True)])
         flat = points.reshape(-1, 3)
         margin = GRID_MARGIN * np.ptp(flat, axis=0).max()
         low, high = flat.min(axis=0) - margin, flat.max(axis=0) + margin
-        cell = float((high - low).max() / GRID_CELLS)
+        cells = LAPTOP_GRID_CELLS if category == "laptop" else GRID_CELLS
+        cell = float((high - low).max() / cells)
         size = np.ceil((high - low) / cell).astype(np.int64)
         xz, y = [[1.0], [0.0], [1.0]], [[0.0], [1.0], [0.0]]
         return cls(
@@ -93,7 +100,7 @@ class Prior:
 
 
 def _sample(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Points and normals (SAMPLES, 3) evenly by area; the leading ones far from each other."""
+    """Points and normals (SAMPLES, 3) evenly by area."""
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     across = np.cross(b - a, c - a)
     area = np.linalg.norm(across, axis=1)
@@ -105,8 +112,7 @@ def _sample(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, Array
     root = np.sqrt(u)
     points = (1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face]
     normals = (across / np.maximum(area, 1e-12)[:, None])[face]
-    order = _farthest_first(points, EVEN_SAMPLES)
-    return points[order], normals[order]
+    return points, normals
 
 
 def _farthest_first(points: Array, count: int) -> NDArray[np.int64]:

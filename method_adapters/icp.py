@@ -29,9 +29,9 @@ Array = NDArray[np.float64]
 #: Cost of free-space violations beside that of the observed points.
 FREE_SPACE_WEIGHT = 1.0
 #: Weight of the prior on the extents beside that of all observed points.
-PRIOR_WEIGHT = 0.04
+PRIOR_WEIGHT = 0.06
 #: Cost of an observed normal across the model's, beside that of the observed points.
-NORMAL_WEIGHT = 0.3
+NORMAL_WEIGHT = 0.5
 #: What decides between candidates that the depth cannot tell apart: objects mostly stand upright.
 UPRIGHT_WEIGHT = 0.02
 #: Rotations tried first: about y axes alone where the category is symmetric, else all.
@@ -45,16 +45,23 @@ SAME_ROTATION = 12.0
 @dataclass(frozen=True)
 class Stage:
     """``steps`` Gauss-Newton steps with ``points`` observed and model points and a robust kernel
-    of ``width`` metres; the ``keep`` best candidates go on."""
+    of ``width`` metres, for every candidate or, with ``shapes``, for every candidate with every
+    shape of the prior; the ``keep`` best that differ in rotation go on."""
 
     points: int
     width: float
     steps: int
     keep: int
+    shapes: bool = False
 
 
-COARSE = (Stage(40, 0.03, 4, keep=200), Stage(80, 0.02, 6, keep=24))
-FINE = (Stage(160, 0.012, 8, keep=16), Stage(400, 0.007, 14, keep=1))
+STAGES = (
+    Stage(40, 0.03, 4, keep=200),
+    Stage(80, 0.02, 6, keep=32),
+    Stage(160, 0.012, 8, keep=20, shapes=True),
+    Stage(400, 0.006, 10, keep=6),
+    Stage(400, 0.004, 12, keep=1, shapes=True),
+)
 
 
 class Icp:
@@ -68,12 +75,8 @@ class Icp:
         licence="MIT",
     )
 
-    def __init__(self) -> None:
-        self._priors: dict[str, Prior] = {}
-
     def load(self, assets: Path | None, device: str) -> None:
-        """Build the category priors; ``assets`` and ``device`` are not used."""
-        self._priors = {category: Prior.of(category) for category in self.info.categories}
+        """Nothing to read: a category's prior is packaged, and built when first asked for."""
 
     def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:
         """One prediction per observation; each is fitted on its own with ``seed``."""
@@ -84,7 +87,7 @@ class Icp:
             evidence = Evidence.of(observation, np.random.default_rng(seed))
         except TooLittleEvidenceError as error:
             return Prediction.failed(str(error))
-        prior = self._priors[observation.category]
+        prior = Prior.of(observation.category)
         best = fit(prior, evidence)
         scale = np.exp(best.log_scale[0])
         points = prior.points[best.variant[0]] * scale
@@ -125,12 +128,11 @@ class Candidates:
 def fit(prior: Prior, evidence: Evidence) -> Candidates:
     """The one placement of a prior's shape that explains the evidence best."""
     candidates = _start(prior, evidence)
-    for stage in COARSE:
+    for stage in STAGES:
+        if stage.shapes:
+            candidates = _all_shapes(prior, candidates)
         candidates = _refine(prior, evidence, candidates, stage)
         candidates = _distinct(prior, candidates)[: stage.keep]
-    candidates = _all_shapes(prior, candidates)
-    for stage in FINE:
-        candidates = _refine(prior, evidence, candidates, stage)[: stage.keep]
     return candidates
 
 
@@ -161,10 +163,14 @@ def _distinct(prior: Prior, at: Candidates) -> Candidates:
 
 
 def _all_shapes(prior: Prior, at: Candidates) -> Candidates:
-    """Every candidate with every shape of the prior."""
-    shapes = len(prior.points)
-    repeated = at[np.tile(np.arange(len(at.variant)), shapes)]
-    return replace(repeated, variant=np.repeat(np.arange(shapes), len(at.variant)))
+    """Every candidate with every shape of the prior, its extents kept as far as they may change."""
+    shapes, candidates = len(prior.points), len(at.variant)
+    repeated = at[np.tile(np.arange(candidates), shapes)]
+    variant = np.repeat(np.arange(shapes), candidates)
+    change = prior.log_extents[repeated.variant] - prior.log_extents[variant]
+    basis = prior.scale_basis
+    allowed = basis @ np.linalg.pinv(basis)
+    return replace(repeated, variant=variant, log_scale=repeated.log_scale + change @ allowed)
 
 
 def _start(prior: Prior, evidence: Evidence) -> Candidates:
