@@ -18,7 +18,12 @@ from pytest_cpas.checks.running import Result, as_subject, check, load_subject, 
 from pytest_cpas.checks.subject import Finding, Outcome, Subject
 
 # the modules register their properties when they are imported; the matrix follows this order
-from pytest_cpas.checks import rotations  # isort: skip
+from pytest_cpas.checks import rotations as _rotations  # isort: skip  # noqa: F401
+from pytest_cpas.checks import boxes as _boxes  # isort: skip  # noqa: F401
+from pytest_cpas.checks import surfaces as _surfaces  # isort: skip  # noqa: F401
+from pytest_cpas.checks import precision as _precision  # isort: skip  # noqa: F401
+from pytest_cpas.checks import average_precision as _average_precision  # isort: skip  # noqa: F401
+from pytest_cpas.checks import conduct as _conduct  # isort: skip  # noqa: F401
 
 __all__ = [
     "KNOWN",
@@ -36,5 +41,4 @@ __all__ = [
     "load_subject",
     "offer",
     "replay",
-    "rotations",
 ]

@@ -84,6 +84,8 @@ _SHARE: dict[str, tuple[Any, ...]] = {
     "percent": (False, True),
 }
 _SYMMETRIES = ("axis", "axis with flip", "discrete", "sphere")
+#: Of an implementation that knows continuous symmetries about x, y and z only.
+_PRINCIPAL = ("principal axis", "principal axis with flip")
 _SYMMETRY: dict[str, tuple[Any, ...]] = {"symmetries": (_SYMMETRIES,)}
 _LENGTH: dict[str, tuple[Any, ...]] = {"length": ("m", "cm", "mm")}
 _PERCENT: dict[str, tuple[Any, ...]] = {"percent": (False, True)}
@@ -168,8 +170,11 @@ class Offer:
                 )
             possible: Any = choices[key]
             if key == "symmetries":
-                if not set(value) <= set(_SYMMETRIES):
-                    raise ContractError(f"adapter: {metric}: {key} is {value!r}, of {_SYMMETRIES}")
+                if not set(value) <= {*_SYMMETRIES, *_PRINCIPAL}:
+                    raise ContractError(
+                        f"adapter: {metric}: {key} is {value!r}, expected some of"
+                        f" {(*_SYMMETRIES, *_PRINCIPAL)}"
+                    )
             elif value not in possible:
                 raise ContractError(
                     f"adapter: {metric}: {key} is {value!r}, expected one of {possible}"

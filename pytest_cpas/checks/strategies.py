@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas.checks.metric_adapter import Box, Sample
+from pytest_cpas.checks.subject import Subject
 from pytest_cpas.types import Symmetry
 
 Array = NDArray[np.float64]
@@ -124,14 +126,14 @@ thresholds = st.one_of(real(0.01, 0.3), st.just(0.01)).map(
 seeds = st.integers(0, 2**16)
 
 #: Symmetry groups in plain words: [kind, axis, n].
-_AXIS_OF_OBJECT = st.one_of(
+axes_of_objects = st.one_of(
     st.just([0, 1, 0]), st.sampled_from([[1, 0, 0], [0, 0, 1]]), axes
 )  # fmt: skip
 continuous = st.tuples(
-    st.sampled_from(["axis", "axis with flip"]), _AXIS_OF_OBJECT, st.just(1)
+    st.sampled_from(["axis", "axis with flip"]), axes_of_objects, st.just(1)
 ).map(list)
 discrete = st.one_of(
-    st.tuples(st.just("n-fold"), _AXIS_OF_OBJECT, st.integers(2, 7)).map(list),
+    st.tuples(st.just("n-fold"), axes_of_objects, st.integers(2, 7)).map(list),
     st.just(["box", [0, 1, 0], 1]),
 )
 symmetries = st.one_of(continuous, discrete)
@@ -147,9 +149,18 @@ def as_symmetry(plain: list[Any]) -> Symmetry:
     return Symmetry.about(axis, flip=kind == "axis with flip")
 
 
-def kind_of(plain: list[Any]) -> str:
-    """Its name among the symmetries that an adapter declares."""
-    return plain[0] if plain[0].startswith("axis") else "discrete"
+def supports(subject: Subject, metric: str, plain: list[Any]) -> bool:
+    """Whether the subject declares the symmetry [kind, axis, n] for a metric."""
+    kind, axis, _ = plain
+    declared = subject.defines(metric, "symmetries")
+    if not kind.startswith("axis"):
+        return "discrete" in declared
+    return kind in declared or (f"principal {kind}" in declared and sorted(axis) == [0, 0, 1])
+
+
+def supports_any(metric: str, *kinds: str) -> Callable[[Subject], bool]:
+    """Whether a subject declares one of the kinds, as a property's ``applies``."""
+    return lambda subject: not set(kinds).isdisjoint(subject.defines(metric, "symmetries"))
 
 
 def element(plain: list[Any], which: int, spin: float) -> Array:

@@ -136,6 +136,7 @@ class Subject:
         state = _random_state()
         with _captured() as printed:
             self._guarded(offer.function, mine)
+            text = printed()
         self.calls.append((metric, args, ""))
         if _image(mine) != before:
             raise Finding(Outcome.CHANGED_ARGUMENTS, "the arguments are not what they were")
@@ -143,7 +144,7 @@ class Subject:
             raise Finding(
                 Outcome.DREW_GLOBAL_RANDOM, "numpy's or Python's global random state has changed"
             )
-        if text := printed():
+        if text:
             raise Finding(Outcome.PRINTED, f"the call printed {text[:60]!r}")
 
     def _call(self, metric: str, args: tuple[Any, ...]) -> Any:

@@ -1,0 +1,189 @@
+"""Properties of every metric: bad input raises, and a call leaves no traces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pytest_cpas.checks.metric_adapter import KNOWN, Box, Sample
+from pytest_cpas.checks.properties import expect, prop
+from pytest_cpas.checks.strategies import posed, seeds
+from pytest_cpas.checks.subject import Subject
+from pytest_cpas.types import Symmetry
+
+Generator = np.random.Generator
+
+
+def _turn(rng: Generator) -> Any:
+    return Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+
+
+def _box(rng: Generator) -> Box:
+    return Box(_turn(rng), rng.normal(size=3) / 20, rng.uniform(0.1, 0.3, 3))
+
+
+def _sample(rng: Generator) -> Sample:
+    return posed(_turn(rng), rng.normal(size=3) / 20, rng.uniform(0.1, 0.3, 3))
+
+
+def _clouds(rng: Generator) -> tuple[Any, Any]:
+    return rng.normal(size=(7, 3)) / 10, rng.normal(size=(9, 3)) / 10
+
+
+def _errors(rng: Generator) -> dict[str, Any]:
+    return {"rotation_deg": rng.uniform(0, 20, 6), "position_m": rng.uniform(0, 0.04, 6)}
+
+
+_LIMITS = {"rotation_deg": 10.0, "position_m": 0.02}
+
+#: Ordinary arguments of each metric.
+ARGUMENTS: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "rotation_error": lambda rng: (_turn(rng), _turn(rng)),
+    "symmetric_rotation_error": lambda rng: (
+        _turn(rng), _turn(rng), Symmetry.about((0, 1, 0))
+    ),
+    "translation_error": lambda rng: (rng.normal(size=3), rng.normal(size=3)),
+    "box_iou": lambda rng: (_box(rng), _box(rng)),
+    "symmetric_box_iou": lambda rng: (_box(rng), _box(rng), Symmetry.about((0, 1, 0))),
+    "average_distance": _clouds,
+    "chamfer": _clouds,
+    "surface_precision": lambda rng: (*_clouds(rng), 0.05),
+    "surface_recall": lambda rng: (*_clouds(rng), 0.05),
+    "fscore": lambda rng: (*_clouds(rng), 0.05),
+    "nad": _clouds,
+    "diameter": lambda rng: (_clouds(rng)[0],),
+    "precision": lambda rng: (_errors(rng), dict(_LIMITS)),
+    "mean_precision": lambda rng: (
+        _errors(rng), dict(_LIMITS), ["mug", "mug", "can", "can", "can", "mug"], ["mug", "can"]
+    ),
+    "iou_auc": lambda rng: (rng.random(6), 0.25),
+    "pose_vus": lambda rng: (rng.uniform(0, 20, 6), rng.uniform(0, 0.04, 6), 10.0, 0.05),
+    "pose_correct": lambda rng: (
+        _sample(rng), _sample(rng),
+        {"rotation_deg": 179.0, "position_m": 1.0, "iou": 0.01, "fscore": 0.01, "nad": 1.0},
+        None,
+    ),
+    "average_precision": lambda rng: (rng.random(6), rng.random(6) < 0.5, 6),
+    "detection_ap": lambda rng: (
+        np.zeros(4, dtype=int), np.zeros(4, dtype=int), rng.random(4),
+        np.zeros(3, dtype=int), np.zeros(3, dtype=int), rng.random((4, 3)), 0.25, 0,
+    ),
+}  # fmt: skip
+
+#: Metrics on points, which can be without any.
+_POINTS = (
+    "average_distance", "chamfer", "surface_precision", "surface_recall", "fscore", "nad",
+    "diameter",
+)  # fmt: skip
+
+
+def _arrays(args: tuple[Any, ...]) -> Iterator[tuple[Callable[[Any], tuple[Any, ...]], Any]]:
+    """Each array of real numbers among the arguments, with what puts another one in its place."""
+    for i, arg in enumerate(args):
+
+        def put(new: Any, i: int = i) -> tuple[Any, ...]:
+            return (*args[:i], new, *args[i + 1 :])
+
+        if isinstance(arg, np.ndarray) and arg.dtype == np.float64:
+            yield put, arg
+        elif isinstance(arg, (Box, Sample)):
+            for name, part in vars(arg).items():
+
+                def put_part(new: Any, arg: Any = arg, name: str = name, put: Any = put) -> Any:
+                    return put(type(arg)(**{**vars(arg), name: new}))
+
+                yield put_part, part
+        elif isinstance(arg, dict):
+            for name, part in arg.items():
+
+                def put_entry(new: Any, arg: Any = arg, name: str = name, put: Any = put) -> Any:
+                    return put({**arg, name: new})
+
+                if isinstance(part, np.ndarray):
+                    yield put_entry, part
+
+
+def _of_each_metric(metric: str) -> None:
+    make = ARGUMENTS[metric]
+
+    def leaves_no_traces(subject: Subject, seed: int) -> None:
+        """A call changes no argument, prints nothing, and leaves global random numbers alone."""
+        subject.conduct(metric, *make(np.random.default_rng(seed)))
+
+    def repeatable(subject: Subject, seed: int) -> None:
+        """The same arguments give the same result, twice and in a row."""
+        args = make(np.random.default_rng(seed))
+        one, other = subject(metric, *args), subject(metric, *args)
+        expect(one == other, f"{one!r} the first time, {other!r} the second")
+
+    def nan_rejected(subject: Subject, seed: int, where: int) -> None:
+        """NaN in an argument raises."""
+        rng = np.random.default_rng(seed)
+        slots = list(_arrays(make(rng)))
+        put, array = slots[where % len(slots)]
+        broken = array.copy()
+        broken.flat[int(rng.integers(broken.size))] = np.nan
+        subject.refuses(metric, *put(broken))
+
+    def wrong_shape_rejected(subject: Subject, seed: int, where: int) -> None:
+        """An argument of another shape raises."""
+        slots = list(_arrays(make(np.random.default_rng(seed))))
+        put, array = slots[where % len(slots)]
+        subject.refuses(metric, *put(array[..., :-1]))
+
+    def empty_rejected(subject: Subject, seed: int, where: int) -> None:
+        """A surface without points raises."""
+        slots = list(_arrays(make(np.random.default_rng(seed))))
+        put, _ = slots[where % len(slots)]
+        subject.refuses(metric, *put(np.zeros((0, 3))))
+
+    def matrices(subject: Subject) -> bool:
+        definition = subject.offers[metric].definition
+        plain = definition.get("rotation", "matrix") == "matrix"
+        return plain and definition.get("box") != ("corners",)
+
+    prop(
+        metric,
+        reason="a metric that changes its input corrupts the next one; global random numbers make"
+        " it depend on what ran before",
+        given={"seed": seeds},
+        weight=0.2,
+    )(leaves_no_traces)
+    prop(
+        metric,
+        reason="a number that changes from call to call cannot be compared",
+        given={"seed": seeds},
+        weight=0.2,
+    )(repeatable)
+    broken = {"seed": seeds, "where": st.integers(0, 7)}
+    prop(
+        metric,
+        reason="NaN compares false with every threshold, so that it passes as correct or wrong",
+        given=broken,
+        weight=0.6,
+        applies=matrices,
+    )(nan_rejected)
+    # one number more or less in a list is another list, unless a partner has another length
+    if metric != "iou_auc":
+        prop(
+            metric,
+            reason="broadcast or cut off, wrong shapes give numbers that look right",
+            given=broken,
+            weight=0.6,
+            applies=matrices,
+        )(wrong_shape_rejected)
+    if metric in _POINTS:
+        prop(
+            metric,
+            reason="a missing reconstruction must not score: a mean of nothing is NaN, or 0",
+            given=broken,
+            weight=0.2,
+        )(empty_rejected)
+
+
+for _metric in KNOWN:
+    _of_each_metric(_metric)
