@@ -14,6 +14,7 @@ import torch
 
 from method_adapters._networks.crnet import CrNet
 from method_adapters._networks.dpdn import DpdnNet
+from method_adapters._networks.running import Runner
 from method_adapters._networks.sgpa import SgpaNet
 from method_adapters._networks.spd import SpdNet
 from method_adapters._prior_method import PriorMethod
@@ -21,7 +22,7 @@ from method_adapters.crnet import CrNet as CrNetMethod
 from method_adapters.dpdn import Dpdn
 from method_adapters.sgpa import Sgpa
 from method_adapters.spd import Spd
-from pytest_cpas.types import CATEGORIES, Camera, Observation
+from pytest_cpas.types import Camera, Observation
 
 NETWORKS = {"spd": SpdNet, "crnet": CrNet, "sgpa": SgpaNet, "dpdn": DpdnNet}
 METHODS: dict[str, type[PriorMethod]] = {
@@ -32,6 +33,9 @@ METHODS: dict[str, type[PriorMethod]] = {
 }
 #: Relative L2 difference that the order of float32 sums explains.
 TOLERANCE = 1e-5
+# beside other workers, more threads only get in each other's way
+torch.set_num_threads(1)
+
 #: With these weights DPDN estimates positive sizes.
 SEED = 12
 GOLDEN = Path(__file__).with_name("recorded")
@@ -83,11 +87,7 @@ def thinned(x: np.ndarray) -> np.ndarray:
 
 def check_network(name: str) -> None:
     """The network's outputs are those recorded."""
-    recorded = np.load(GOLDEN / f"{name}.npz")
-    for i, output in enumerate(outputs_of(network(name), network_inputs())):
-        expected = recorded[f"network_{i}"]
-        difference = relative(thinned(output), expected)
-        assert difference <= TOLERANCE, f"{name}, output {i}: {difference:.2e}"
+    _compare(name, "network", outputs_of(network(name), network_inputs()))
 
 
 def observation(category: str, centre: tuple[float, float], radius: float) -> Observation:
@@ -118,49 +118,53 @@ def write_assets(folder: Path, names: Iterable[str] = METHODS) -> Path:
     return folder
 
 
-def prepared(method: PriorMethod) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """What a loaded method's network sees of the observations, and its outputs."""
+def network_sees(method: PriorMethod) -> list[np.ndarray]:
+    """What a method with priors makes of the observations."""
     generator = np.random.default_rng
     inputs = [method.prepare(seen, generator(seed)) for seed, seen in enumerate(observations())]
-    stacked = [np.stack(part) for part in zip(*inputs, strict=True)]
-    return stacked, list(method._run(*stacked))
+    return [np.stack(part) for part in zip(*inputs, strict=True)]
 
 
-def loaded(name: str) -> PriorMethod:
-    """As :meth:`load` leaves it, without files."""
-    from method_adapters._networks.running import Runner
-
+def unloaded(name: str) -> PriorMethod:
+    """A method with priors, but without a network."""
     method = METHODS[name]()
     method._priors = priors().astype(np.float32)
-    method._run = Runner(network(name), "cpu")
     return method
 
 
-def check_adapter(name: str) -> None:
-    """What the network sees, and raw outputs, are those recorded."""
-    recorded = np.load(GOLDEN / f"{name}.npz")
-    inputs, outputs = prepared(loaded(name))
-    for what, arrays in (("input", inputs), ("raw", outputs)):
-        for i, array in enumerate(arrays):
-            expected = recorded[f"{what}_{i}"]
-            difference = relative(thinned(array), expected)
-            limit = 0 if array.dtype.kind == "i" else TOLERANCE
-            assert difference <= limit, f"{name}, {what} {i}: {difference:.2e}"
+def check_inputs(name: str) -> None:
+    """What the network sees is what was recorded."""
+    _compare(name, "input", network_sees(unloaded(name)))
+
+
+def check_raw_outputs(method: PriorMethod) -> None:
+    """A loaded method's raw outputs are those recorded."""
+    _compare(method.info.name, "raw", list(method._run(*network_sees(method))))
+
+
+def _compare(name: str, what: str, arrays: list[np.ndarray]) -> None:
+    with np.load(GOLDEN / f"{name}.npz") as data:
+        recorded = dict(data)
+    for i, array in enumerate(arrays):
+        difference = relative(thinned(array), recorded[f"{what}_{i}"])
+        limit = 0 if array.dtype.kind == "i" else TOLERANCE
+        assert difference <= limit, f"{name}, {what} {i}: {difference:.2e}"
 
 
 def record() -> None:
     GOLDEN.mkdir(exist_ok=True)
     for name in NETWORKS:
-        outputs = outputs_of(network(name), network_inputs())
-        arrays = {f"network_{i}": thinned(x) for i, x in enumerate(outputs)}
-        for what, group in zip(("input", "raw"), prepared(loaded(name)), strict=True):
-            arrays |= {f"{what}_{i}": thinned(x) for i, x in enumerate(group)}
+        method = unloaded(name)
+        inputs = network_sees(method)
+        groups = {
+            "network": outputs_of(network(name), network_inputs()),
+            "input": inputs,
+            "raw": Runner(network(name), "cpu")(*inputs),
+        }
+        arrays = {f"{k}_{i}": thinned(x) for k, g in groups.items() for i, x in enumerate(g)}
         small = {k: v if v.dtype.kind == "i" else v.astype(np.float32) for k, v in arrays.items()}
         np.savez_compressed(GOLDEN / f"{name}.npz", **small)
 
 
 if __name__ == "__main__":
-    assert [m.info.name for m in METHODS.values()] == list(METHODS)
-    assert CATEGORIES[5] == "mug"
-    torch.set_num_threads(1)
     record()

@@ -1,17 +1,7 @@
-import importlib.util
 import os
 from pathlib import Path
 
 import pytest
-
-# without torch these files cannot even be imported; test_port_plugin.py says so
-if importlib.util.find_spec("torch") is None:
-    collect_ignore_glob = ["test_port_[!p]*.py"]
-else:
-    import torch
-
-    # beside other workers, more threads only get in each other's way
-    torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")

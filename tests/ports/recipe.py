@@ -4,7 +4,10 @@ import hashlib
 import zlib
 
 import numpy as np
-import torch
+import pytest
+
+# this module is imported before torch is: whatever needs it is skipped
+torch = pytest.importorskip("torch", reason="no torch: pip install 'pytest-cpas[torch]'")
 
 
 def value(key: str, shape: tuple[int, ...], floating: bool, seed: int) -> torch.Tensor:

@@ -32,7 +32,8 @@ SAMPLERS = {
 def with_published_weights(shared_ports, name):
     """The network, loaded with the recipe's weights by the published names, and its data."""
     inventory = json.loads((shared_ports / "inventory" / f"{name}.json").read_text())
-    data = np.load(shared_ports / "parity" / f"{name}.npz")
+    with np.load(shared_ports / "parity" / f"{name}.npz") as file:
+        data = dict(file)
     weights = recipe.state_dict(inventory, int(data["weights_seed"]))
     assert recipe.sha256(weights) == str(data[f"weights_sha256__{name}"])
     unused = cases.METHODS[name].unused
@@ -57,7 +58,7 @@ def test_every_output_and_tap_of_the_original(shared_ports, name):
 
         return keep
 
-    for path in {key.split("__")[1] for key in data.files if key.startswith("tap__")}:
+    for path in {key.split("__")[1] for key in data if key.startswith("tap__")}:
         network.get_submodule(path).register_forward_hook(tap(path))
     inputs = [torch.from_numpy(data[f"input__{key}"]) for key in INPUTS[name]]
     variants = {"": inputs[0]}
@@ -70,7 +71,7 @@ def test_every_output_and_tap_of_the_original(shared_ports, name):
                 seen[f"output__{prefix}{key}"] = output
 
     checked = 0
-    for key in data.files:
+    for key in data:
         base = key.removesuffix("__sub")
         if not key.startswith(("output__", "tap__")) or key.endswith(("stride", "shape", "__l2")):
             continue
@@ -83,7 +84,7 @@ def test_every_output_and_tap_of_the_original(shared_ports, name):
         assert difference <= cases.TOLERANCE, f"{key}: {difference:.2e}"
         middle = expected.mean()  # what is nearly constant must not hide behind its mean
         assert cases.relative(thin - middle, expected - middle) <= 1e-4, key
-        if f"{base}__l2" in data.files:
+        if f"{base}__l2" in data:
             length = np.linalg.norm(ours.astype(np.float64))
             assert length == pytest.approx(float(data[f"{base}__l2"]), rel=cases.TOLERANCE)
         checked += 1
@@ -94,7 +95,8 @@ def test_every_output_and_tap_of_the_original(shared_ports, name):
     ("name", "cloud"), [(name, cloud) for name, clouds in SAMPLERS.items() for cloud in clouds]
 )
 def test_samples_of_every_level(shared_ports, name, cloud):
-    data = np.load(shared_ports / "parity" / f"{name}.npz")
+    with np.load(shared_ports / "parity" / f"{name}.npz") as file:
+        data = dict(file)
     path, key = SAMPLERS[name][cloud]
     xyz = torch.from_numpy(data[f"input__{key}"])
     if name == "dpdn" and cloud != "prior":
@@ -148,3 +150,18 @@ def test_category_chooses_its_own_channels():
     everything = torch.nn.Sequential.forward(head, torch.cat([local, shared.expand(-1, -1, 20)], 1))
     picked = everything.reshape(36, 7, 20)[category + 6 * torch.arange(6)]
     torch.testing.assert_close(ours, picked)
+
+
+def test_attention_as_torch_has_it():
+    """SGPA's outputs hardly see it: its structure features are nearly alike."""
+    from method_adapters._networks.attention import MultiHeadAttention
+
+    torch.manual_seed(0)
+    ours, theirs = MultiHeadAttention(64, 4), torch.nn.MultiheadAttention(64, 4, batch_first=True)
+    with torch.no_grad():
+        theirs.in_proj_weight.copy_(torch.cat([linear.weight for linear in ours.linears[:3]]))
+        theirs.in_proj_bias.copy_(torch.cat([linear.bias for linear in ours.linears[:3]]))
+        theirs.out_proj.weight.copy_(ours.linears[3].weight)
+        theirs.out_proj.bias.copy_(ours.linears[3].bias)
+        query, key, value = torch.randn(2, 30, 64), torch.randn(2, 50, 64), torch.randn(2, 50, 64)
+        torch.testing.assert_close(ours(query, key, value), theirs(query, key, value)[0])

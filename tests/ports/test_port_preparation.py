@@ -124,10 +124,10 @@ def test_fewer_than_32_depth_pixels():
 def test_depth_filling_as_opencv_recorded():
     """``recorded/depth.npz``: a depth image of 60 x 80 and what the same steps made with OpenCV
     5.0 operators (tests/ports/record_depth.py)."""
-    data = np.load(Path(__file__).with_name("recorded") / "depth.npz")
-    filled = fill_depth(data["depth"])
-    assert np.count_nonzero(data["depth"] == 0) > 1500
-    np.testing.assert_allclose(filled, data["filled"], atol=2e-5)
+    with np.load(Path(__file__).with_name("recorded") / "depth.npz") as data:
+        depth, expected = data["depth"], data["filled"]
+    assert np.count_nonzero(depth == 0) > 1500
+    np.testing.assert_allclose(fill_depth(depth), expected, atol=2e-5)
 
 
 def moved(source, scale, rotation, translation):
