@@ -13,7 +13,12 @@ def test_torch_is_asked_for_where_it_is_missing(pytester):
         import pytest
         sys.exit(pytest.main(sys.argv[1:]))
     """
-    args = ["-p", "no:dash", "--cpas-method=sgpa", "--cpas-dataset=synthetic-tabletop"]
+    args = [
+        "-p",
+        "no:dash",
+        "--cpas-method=method_adapters.sgpa:Sgpa",
+        "--cpas-dataset=synthetic-tabletop",
+    ]
     done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True)
     assert done.returncode == pytest.ExitCode.USAGE_ERROR
     assert "pip install 'pytest-cpas[torch]'" in done.stderr
@@ -22,7 +27,12 @@ def test_torch_is_asked_for_where_it_is_missing(pytester):
 
 def test_missing_weights_are_one_error(pytester):
     pytest.importorskip("torch", reason="pip install 'pytest-cpas[torch]'")
-    args = ("-p", "no:dash", "--cpas-method=sgpa", "--cpas-dataset=synthetic-tabletop")
+    args = (
+        "-p",
+        "no:dash",
+        "--cpas-method=method_adapters.sgpa:Sgpa",
+        "--cpas-dataset=synthetic-tabletop",
+    )
     result = pytester.runpytest_subprocess(*args, "--cpas-weights=nowhere")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     for words in ("nowhere/sgpa/real.pth", "drive.google.com", "no licence stated"):
