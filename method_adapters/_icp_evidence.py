@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from pytest_cpas.types import Camera, Observation
@@ -22,6 +24,9 @@ Array = NDArray[np.float64]
 MIN_POINTS = 30
 #: Points kept for the neighbourhood statistics, neighbours looked at, and points fitted.
 CLOUD_POINTS, NEIGHBOURS, FIT_POINTS = 1600, 20, 400
+#: Points nearer than this hang together, metres. What lies in front of or behind the largest
+#: connected piece by more than this part of its width is not the object, but at least this far.
+LINK, GAP_SHARE, GAP_LEAST = 0.02, 0.5, 0.05
 #: Longer side, in cells, of the mask's box in the free-space map; margin around it in boxes.
 MAP_CELLS, MAP_MARGIN = 96, 0.6
 #: A stand-in for infinity that keeps products finite, metres or focal units.
@@ -79,7 +84,7 @@ class Evidence:
     def of(cls, observation: Observation, rng: np.random.Generator) -> Evidence:
         """Gather the evidence. Raises :class:`TooLittleEvidenceError`."""
         points, normals = _surface(observation, rng)
-        return cls(points, normals, _free_space(observation))
+        return cls(points, normals, _free_space(observation, points[:, 2].max() + GAP_LEAST))
 
 
 def _surface(observation: Observation, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -94,9 +99,8 @@ def _surface(observation: Observation, rng: np.random.Generator) -> tuple[Array,
     neighbours = min(NEIGHBOURS, len(cloud))
     distances, indices = map(np.asarray, cKDTree(cloud).query(cloud, k=neighbours))
     spacing = distances[:, -1]
-    # flying pixels stand alone, and what lies far off along the ray is not the object
-    off = np.abs(cloud[:, 2] - np.median(cloud[:, 2]))
-    keep = (spacing < 3 * np.median(spacing)) & (off < 0.4)
+    keep = spacing < 3 * np.median(spacing)  # flying pixels stand alone
+    keep &= _one_object(cloud, indices, distances, keep)
     if np.count_nonzero(keep) < MIN_POINTS:
         raise TooLittleEvidenceError(
             f"only {np.count_nonzero(keep)} of {len(cloud)} masked depth values hang together,"
@@ -112,7 +116,26 @@ def _surface(observation: Observation, rng: np.random.Generator) -> tuple[Array,
     return points, normals
 
 
-def _free_space(observation: Observation) -> FreeSpace:
+def _one_object(
+    cloud: Array, indices: NDArray[np.int64], distances: Array, keep: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which points are in the depth range of the largest connected piece.
+
+    A mask that is shifted against the depth holds a strip of the background, far behind; pieces of
+    an object that something hides in the middle lie at about the same depth.
+    """
+    count = len(cloud)
+    linked = keep[:, None] & keep[indices] & (distances < LINK)
+    rows, columns = np.nonzero(linked)[0], indices[linked]
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    piece = cloud[keep & (label == np.bincount(label[keep]).argmax())]
+    gap = max(GAP_LEAST, GAP_SHARE * np.ptp(piece[:, :2], axis=0).max())
+    near, far = piece[:, 2].min() - gap, piece[:, 2].max() + gap
+    return (cloud[:, 2] > near) & (cloud[:, 2] < far)
+
+
+def _free_space(observation: Observation, farthest: float) -> FreeSpace:
     mask, camera = observation.mask, observation.camera
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     low = np.array([rows[0], columns[0]])
@@ -129,7 +152,7 @@ def _free_space(observation: Observation) -> FreeSpace:
     own, other = (
         ndimage.minimum_filter(np.where(part, measured, FAR), size=3) for part in (inside, ~inside)
     )
-    depth = np.where(inside, np.where(own < FAR, own, -FAR), other)
+    depth = np.where(inside, np.where(own < farthest, own, -FAR), other)
     offset = np.zeros((2, *inside.shape))
     if inside.any():  # a mask thinner than the step limits nothing beside it
         nearest = ndimage.distance_transform_edt(

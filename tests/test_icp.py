@@ -193,6 +193,18 @@ def test_ignores_flying_pixels_and_far_depth(method: Icp, mug: Observation) -> N
     assert np.linalg.norm(clean.translation - noisy.translation) < 0.01
 
 
+def test_ignores_background_in_a_shifted_mask(method: Icp) -> None:
+    """The mask is 9 pixels off to the side, as real ones are: a strip of it shows the wall."""
+    pose = Pose(UPRIGHT.as_matrix(), [0, 0, 0.7])
+    can = observe(mean_shape("can"), pose, "can", background=0.95)
+    shifted = replace(can, mask=np.roll(can.mask, 9, axis=1))
+    assert (shifted.mask & ~can.mask).sum() > 0.2 * can.mask.sum()
+    (best,) = method.predict([shifted], 0)[0].hypotheses
+    cosine = best.rotation[:, 1] @ pose.rotation[:, 1]
+    assert cosine > np.cos(np.deg2rad(10))
+    assert np.linalg.norm(best.translation - pose.translation) < 0.02
+
+
 @pytest.mark.parametrize("pixels", [0, 1, 29])
 def test_too_few_depth_values_fail_with_the_count(
     method: Icp, mug: Observation, pixels: int
