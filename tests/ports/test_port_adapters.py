@@ -1,10 +1,13 @@
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import cases
 import numpy as np
 import pytest
 
+import method_adapters
 from pytest_cpas.datasets.nocs import Real275
 from pytest_cpas.evaluation import MethodRun, check_answers
 from pytest_cpas.frames import to_standard
@@ -96,3 +99,16 @@ def test_torch_is_imported_only_to_load():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False"]
+
+
+@pytest.mark.parametrize("name", cases.METHODS)
+def test_every_known_quirk_has_its_reason_and_its_test(name):
+    path = Path(method_adapters.__file__).with_name(f"{name}.expectations.toml")
+    quirks = tomllib.loads(path.read_text())["quirk"]
+    assert len({quirk["name"] for quirk in quirks}) == len(quirks) >= 7
+    for quirk in quirks:
+        assert quirk.keys() - {"categories"} == {"name", "kind", "reason", "shown_by"}
+        assert quirk["kind"] in ("published", "port")
+        assert set(quirk.get("categories", ())) <= set(CATEGORIES)
+        module, test = quirk["shown_by"].split("::")
+        assert f"def {test}(" in Path(__file__).with_name(module).read_text()
