@@ -49,17 +49,20 @@ def farthest_points(
     order = tie_order(n, max_threads).to(xyz.device)
     ordered = xyz[:, order]
     # the first maximum is the one that the kernels prefer, once the points stand in their order
-    distances = squared_distances(ordered, ordered)
+    distances = squared_distances(ordered, ordered).flatten(0, 1)
     running = torch.full((batch, n), torch.inf, device=xyz.device)
     if skip_radius_squared is not None:
         x, y, z = ordered.unbind(-1)
         near = (x * x + y * y + z * z).double() <= skip_radius_squared
         running.masked_fill_(near, -1.0)
-    rows = torch.arange(batch, device=xyz.device)
+    first_rows = n * torch.arange(batch, device=xyz.device)
+    last_rows, to_last = first_rows.clone(), torch.empty_like(running)
     chosen = torch.zeros((count, batch), dtype=torch.int64, device=xyz.device)
-    for i in range(1, count):
-        torch.minimum(running, distances[rows, chosen[i - 1]], out=running)
-        torch.argmax(running, dim=1, out=chosen[i])
+    for place in chosen[1:].unbind(0):
+        torch.index_select(distances, 0, last_rows, out=to_last)
+        torch.minimum(running, to_last, out=running)
+        torch.argmax(running, dim=1, out=place)
+        torch.add(place, first_rows, out=last_rows)
     return order[chosen.T]
 
 

@@ -1,10 +1,12 @@
 """Inputs made from a seed, and the checks against recorded outputs that the tests share.
 
-``python tests/ports/cases.py`` records: only ever from code that agrees with the original networks
-(test_port_networks.py, with the shared data).
+``python tests/ports/cases.py record`` records: only ever from code that agrees with the original
+networks (test_port_networks.py, with the shared data). ``python tests/ports/cases.py weights DIR``
+writes a folder for ``--cpas-weights``.
 """
 
 import functools
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -167,4 +169,9 @@ def record() -> None:
 
 
 if __name__ == "__main__":
-    record()
+    if sys.argv[1:] == ["record"]:
+        record()
+    elif sys.argv[1:2] == ["weights"] and len(sys.argv) == 3:
+        write_assets(Path(sys.argv[2]))
+    else:
+        sys.exit(__doc__)

@@ -1,0 +1,152 @@
+"""The ported networks against those of cpas_toolbox 1.0.0, and the PointNet++ operators against
+plain torch; one object, batch 1, CPU, same process.
+
+    pip install --no-deps cpas_toolbox==1.0.0
+    OMP_NUM_THREADS=1 python benchmarks/bench_ports.py
+
+Ends with an error if a peer with the same weights differs by more than 1e-5. SGPA's and DPDN's
+published networks need CUDA extensions to be built: theirs are timed without a peer.
+"""
+
+from __future__ import annotations
+
+import importlib
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from types import ModuleType
+from unittest.mock import MagicMock
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from method_adapters._networks import pointnet2
+from method_adapters._networks.crnet import CrNet
+from method_adapters._networks.dpdn import DpdnNet
+from method_adapters._networks.sgpa import SgpaNet
+from method_adapters._networks.spd import SpdNet
+
+PEERS = {"spd": "_spd.spd.network", "crnet": "_crnet.crnet.network"}
+NETWORKS = {"spd": SpdNet, "crnet": CrNet, "sgpa": SgpaNet, "dpdn": DpdnNet}
+
+
+def medians(*functions: Callable[[], object], repeats: int) -> list[float]:
+    """Milliseconds, the functions taking turns so that all see the same machine."""
+    times: list[list[float]] = [[] for _ in functions]
+    for function in functions:
+        function()
+    for _ in range(repeats):
+        for function, kept in zip(functions, times, strict=True):
+            start = time.perf_counter()
+            function()
+            kept.append(1000 * (time.perf_counter() - start))
+    return [statistics.median(kept) for kept in times]
+
+
+def peer_module(path: str) -> ModuleType:
+    """A published network; what its package imports for training and plots alone is left out."""
+    for name in ("matplotlib", "matplotlib.pyplot", "tqdm"):
+        if name not in sys.modules and find_spec(name.partition(".")[0]) is None:
+            sys.modules[name] = MagicMock()
+    return importlib.import_module(f"cpas_toolbox.cpas_methods.{path}")
+
+
+def inputs() -> list[Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    points = torch.rand((1, 1024, 3), generator=generator) * torch.tensor([0.12, 0.2, 0.1])
+    return [
+        points + torch.tensor([0.0, 0, 0.8]),
+        torch.randn((1, 3, 192, 192), generator=generator),
+        torch.randint(0, 192 * 192, (1, 1024), generator=generator),
+        torch.tensor([5]),
+        torch.rand((1, 1024, 3), generator=generator) - 0.5,
+    ]
+
+
+def networks() -> None:
+    given = inputs()
+    for name, make in NETWORKS.items():
+        torch.manual_seed(0)
+        ours: nn.Module = make().eval()
+        if name not in PEERS:
+            (ms,) = medians(lambda net=ours: net(*given), repeats=9)
+            print(f"{name:6} ours {ms:7.1f} ms   published: needs CUDA extensions")
+            continue
+        theirs = peer_module(PEERS[name]).DeformNet(n_cat=6, nv_prior=1024).eval()
+        theirs.load_state_dict(ours.state_dict(), strict=True)
+        a, b = ours(*given), theirs(*given)
+        worst = max(float((x - y).norm() / y.norm()) for x, y in zip(a, b, strict=True))
+        mine, published = medians(
+            lambda net=ours: net(*given), lambda net=theirs: net(*given), repeats=9
+        )
+        print(
+            f"{name:6} ours {mine:7.1f} ms   published {published:7.1f} ms   ratio"
+            f" {mine / published:.2f} (at most 1)   difference {worst:.1e}"
+        )
+        if worst > 1e-5:
+            sys.exit(f"{name}: it is not the published network")
+
+
+def plain_farthest_points(xyz: Tensor, count: int) -> Tensor:
+    chosen = torch.zeros((len(xyz), count), dtype=torch.int64)
+    running = torch.full(xyz.shape[:2], torch.inf)
+    rows = torch.arange(len(xyz))
+    for i in range(1, count):
+        last = xyz[rows, chosen[:, i - 1]][:, None]
+        running = torch.minimum(running, ((xyz - last) ** 2).sum(-1))
+        chosen[:, i] = running.argmax(-1)
+    return chosen
+
+
+def plain_ball_query(distances: Tensor, radius: float, count: int) -> Tensor:
+    n = distances.shape[-1]
+    index = torch.arange(n).expand_as(distances).clone()
+    index[distances >= radius**2] = n
+    index = index.sort(-1).values[..., :count]
+    return torch.where(index == n, index[..., :1], index)
+
+
+def plain_three_nearest(unknown: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    squared = ((unknown[:, :, None] - known[:, None]) ** 2).sum(-1)
+    found = squared.topk(3, dim=-1, largest=False)
+    return found.values, found.indices
+
+
+def operators() -> None:
+    xyz = inputs()[0]
+    centres = pointnet2.gather(xyz.mT, pointnet2.farthest_points(xyz, 512, max_threads=1024)).mT
+    distances = pointnet2.squared_distances(centres, xyz)
+    pairs = {
+        "farthest points, 512 of 1024": (
+            lambda: pointnet2.farthest_points(xyz, 512, max_threads=1024),
+            lambda: plain_farthest_points(xyz, 512),
+        ),
+        "ball query, 512 centres, 32 of 1024": (
+            lambda: pointnet2.ball_query(distances, 0.02, 32),
+            lambda: plain_ball_query(distances, 0.02, 32),
+        ),
+        "three nearest, 1024 in 512": (
+            lambda: pointnet2.three_nearest(xyz, centres),
+            lambda: plain_three_nearest(xyz, centres),
+        ),
+    }
+    for name, (ours, plain) in pairs.items():
+        mine, theirs = medians(ours, plain, repeats=15)
+        print(
+            f"{name:38} ours {mine:6.2f} ms   plain {theirs:6.2f} ms   ratio {mine / theirs:.2f}"
+            " (at most 1.2)"
+        )
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    np.seterr(all="raise")
+    with torch.inference_mode():
+        operators()
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        print(f"peak memory with the operators {peak:.2f} GiB (at most 1)")
+        networks()
