@@ -92,7 +92,8 @@ class MetricsSession:
         report = yield
         if report.when == "call" and RESULT in item.stash:
             result, expected = item.stash[RESULT]
-            report.cpas_result = (asdict(result), expected)  # type: ignore[attr-defined]
+            values = {**asdict(result), "outcome": result.outcome.value}
+            report.cpas_result = (values, expected)  # type: ignore[attr-defined]
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:

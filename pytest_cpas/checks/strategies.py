@@ -19,9 +19,16 @@ Array = NDArray[np.float64]
 Rows = list[list[float]]
 
 
+#: Small ranges of integers are drawn evenly, large ones mostly near 0: hence two digits.
+_DIGIT = st.integers(0, 99)
+_SHARE = st.one_of(st.tuples(_DIGIT, st.just(0)), st.tuples(_DIGIT, _DIGIT), st.just((100, 0))).map(
+    lambda digits: digits[0] / 100 + digits[1] / 10000
+)
+
+
 def real(low: float, high: float) -> st.SearchStrategy[float]:
     """Evenly distributed in [low, high]; simplest at ``low``."""
-    return st.integers(0, 10**6).map(lambda i: low + (high - low) * i / 10**6)
+    return _SHARE.map(lambda share: low + (high - low) * share)
 
 
 def log_real(low: float, high: float) -> st.SearchStrategy[float]:
