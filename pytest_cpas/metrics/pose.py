@@ -95,7 +95,7 @@ def checked_rotations(value: ArrayLike, what: str) -> Array:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """``a @ b`` of (..., 3, 3), the same bits whatever the batch is, which BLAS does not promise."""
+    """``a @ b`` of (..., 3, 3): the same bits in any batch, which BLAS does not promise."""
     columns, rows = a[..., :, None, :], b[..., None, :, :]
     return np.asarray(
         columns[..., 0] * rows[..., 0, :]
