@@ -5,12 +5,15 @@ import copy
 import cases
 import numpy as np
 import pytest
+import test_port_preparation
 import torch
 
 from method_adapters import _prior_method
-from method_adapters._crop import Crop, crop_of, network_image
+from method_adapters._crop import Crop, NoAnswerError, crop_of, network_image
 from method_adapters._networks import attention, crnet, heads, pointnet2, pspnet
+from method_adapters._prior_method import pose_from_assignment
 from method_adapters.dpdn import Dpdn
+from pytest_cpas.types import CATEGORIES
 
 
 def align_corners_flipped(patch):
@@ -158,3 +161,29 @@ def test_planted_fault_is_found(monkeypatch, check, name, plant):
         check(name)
     # shapes that no longer fit are found as well, but only where parts change places
     assert caught.type is AssertionError or plant is parts_concatenated_backwards
+
+
+@pytest.mark.parametrize(
+    ("fault", "category"),
+    [
+        ("prior not added", "bottle"),
+        ("prior not added", "mug"),
+        ("assignment transposed", "bottle"),
+        ("mug not recentred", "mug"),
+    ],
+)
+def test_planted_fault_in_the_pose_is_found(monkeypatch, fault, category):
+    if fault == "mug not recentred":
+        monkeypatch.setattr(_prior_method, "MUG_OFFSET", 0.0)
+    else:
+
+        def broken(inputs, assign, deltas, generator):
+            if fault == "prior not added":
+                inputs = inputs._replace(prior=np.zeros_like(inputs.prior))
+            else:
+                assign = assign.T
+            return pose_from_assignment(inputs, assign, deltas, generator)
+
+        monkeypatch.setattr(test_port_preparation, "pose_from_assignment", broken)
+    with pytest.raises((AssertionError, NoAnswerError)):
+        test_port_preparation.test_pose_from_a_known_assignment(CATEGORIES.index(category))
