@@ -350,8 +350,8 @@ def _compare_category(
     total = max(len(old), run.listed.get(category, 0))
     both = sorted(old.keys() & judged.keys())
     extra = sorted(judged.keys() - old.keys())
-    lines: list[str] = []
-    fell = rose = False
+    changes: list[tuple[int, list[str]]] = []  # net gain, and what to say
+    only_gains = not extra
     for index, threshold in enumerate(THRESHOLDS):
         pairs = [(k, old[k].outcome[index] + judged[k].outcome[index]) for k in both]
         before = sum(pair[0] == "1" for _, pair in pairs)
@@ -363,14 +363,16 @@ def _compare_category(
         }
         if not any(changed.values()):
             continue
-        lost, gained = len(changed["lost"]), len(changed["gained"])
-        fell, rose = fell or lost > gained, rose or gained > lost
-        lines.append(f"{threshold.label}: {before} -> {after} of {len(both)} correct")
-        lines += [f"    {what}: {_named(k, old, judged)}" for what, k in changed.items() if k]
+        only_gains &= not changed["lost"] and not changed["n/a changed"]
+        told = [f"{threshold.label}: {before} -> {after} of {len(both)} correct"]
+        told += [f"    {what}: {_named(k, old, judged)}" for what, k in changed.items() if k]
+        changes.append((len(changed["gained"]) - len(changed["lost"]), told))
+    changes.sort(key=lambda change: change[0])  # what fell most stands first
+    lines = [line for _, told in changes for line in told]
     if extra:
         lines.append(f"{len(extra)} samples are not in the golden table, first {extra[0]}")
     if lines:
-        only_gains = rose and not extra and all("lost" not in x and "n/a" not in x for x in lines)
+        fell = bool(changes) and changes[0][0] < 0
         word = Word.REGRESSED if fell else Word.IMPROVED if only_gains else Word.CHANGED
         if word is not Word.REGRESSED:
             lines.append("if this is right, record it with --snapshot-update")
