@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -6,6 +7,7 @@ from pathlib import Path
 import cases
 import numpy as np
 import pytest
+import torch
 
 import method_adapters
 from pytest_cpas.datasets.nocs import Real275
@@ -14,16 +16,9 @@ from pytest_cpas.frames import to_standard
 from pytest_cpas.types import CATEGORIES, Observation
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    return cases.write_assets(tmp_path_factory.mktemp("weights") / "all")
-
-
 @pytest.fixture(scope="module", params=cases.METHODS)
-def method(request, weights):
-    made = cases.METHODS[request.param]()
-    made.load(weights, "cpu")
-    return made
+def method(request):
+    return cases.loaded(request.param)
 
 
 def same(a, b):
@@ -42,36 +37,46 @@ def test_recorded_raw_outputs(method):
     cases.check_raw_outputs(method)
 
 
+def test_loaded_from_files(tmp_path):
+    """As published: with DataParallel's prefix and what only training uses."""
+    folder = cases.write_assets(tmp_path / "weights", ["sgpa"])
+    path = folder / "sgpa" / "real.pth"
+    weights = {f"module.{key}": value for key, value in torch.load(path).items()}
+    torch.save({**weights, "module.category_local.cls_layer.2.conv.bias": torch.ones(1)}, path)
+    method = cases.METHODS["sgpa"]()
+    method.load(folder, "cpu")
+    shutil.rmtree(folder)
+    cases.check_raw_outputs(method)
+
+
 def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
-    seen = cases.observations()[:1]
-    predictions = method.predict(seen, 3)
+    seen = cases.observations()[0]
+    predictions = method.predict([seen], 3)
     check_answers(predictions, method.info)
-    same(predictions[0], method.predict(seen, 3)[0])
-    inputs = [method.prepare(seen[0], np.random.default_rng(seed)).choose for seed in (3, 3, 4)]
-    assert np.array_equal(inputs[0], inputs[1])
-    assert not np.array_equal(inputs[0], inputs[2])
     if method.info.name == "dpdn":
         assert predictions[0].hypotheses
     for hypothesis in predictions[0].hypotheses:
         standard = to_standard(hypothesis, method.info)
         if method.info.name != "dpdn":
             np.testing.assert_allclose(standard.extents, 2 * np.abs(standard.points).max(axis=0))
-
-
-def test_batch_with_and_without_answers(method):
-    """Bad observations get their reasons and leave the others alone."""
-    good = cases.observations()
+    # in a batch with bad observations, which get their reasons
     few = cases.observation("mug", (300, 200), 3)
     strange = cases.observation("teapot", (300, 200), 45)
-    flat = Observation("can", good[0].rgb, 0 * good[0].depth, good[0].mask, good[0].camera)
-    answers = method.predict([few, good[0], strange, flat, good[1]], 0)
+    flat = Observation("can", seen.rgb, 0 * seen.depth, seen.mask, seen.camera)
+    answers = method.predict([few, strange, seen, flat], 3)
+    same(answers[2], predictions[0])
     assert "pixels of the mask have a depth, expected at least 32" in answers[0].reason
-    assert f"category 'teapot': {method.info.name} knows bottle," in answers[2].reason
+    assert f"category 'teapot': {method.info.name} knows bottle," in answers[1].reason
     assert answers[3].reason.startswith("0 pixels of the mask")
-    for answer, alone in zip(answers[1::3], method.predict(good, 0), strict=True):
-        same(answer, alone)
-    assert method.predict([few], 0)[0].reason == answers[0].reason
-    assert method.predict([], 0) == []
+    assert method.predict([few], 3)[0].reason == answers[0].reason
+    assert method.predict([], 3) == []
+
+
+def test_seed_decides_which_points_are_used(method):
+    seen = cases.observations()[0]
+    chosen = [method.prepare(seen, np.random.default_rng(seed)).choose for seed in (3, 3, 4)]
+    assert np.array_equal(chosen[0], chosen[1])
+    assert not np.array_equal(chosen[0], chosen[2])
 
 
 def test_declaration(method):
