@@ -2,7 +2,13 @@
 
 ``python tests/ports/cases.py record`` records: only ever from code that agrees with the original
 networks (test_port_networks.py, with the shared data). ``python tests/ports/cases.py weights DIR``
-writes a folder for ``--cpas-weights``.
+writes a folder for ``--cpas-weights``; with it, golden/ beside this file is the golden table of
+
+    pytest --cpas-method sgpa --cpas-dataset synthetic-tabletop --cpas-weights=DIR \\
+        --cpas-golden tests/ports/golden --cpas-require-golden
+
+Random weights find nothing, so that table shows that every sample has an answer that keeps the
+contract; what the answers are is guarded by recorded/.
 """
 
 import functools
