@@ -330,6 +330,7 @@ OBJECT_BOXES = st.tuples(some.rotations, some.positions, some.extents).map(list)
     SYMMETRIC,
     reason="all poses of the group look alike; a sampled symmetry misses those in between",
     given={"box": OBJECT_BOXES} | GROUP,
+    weight=1.5,
 )
 def reached_on_the_group(
     subject: Subject, box: list[Any], group: list[Any], which: int, spin: float
@@ -380,7 +381,6 @@ def at_least_any_element(
     reason="the definition: a maximum over the true object's group is reached",
     given={"pair": some.near_boxes(), "group": some.discrete},
     applies=some.supports_any(SYMMETRIC, "discrete"),
-    weight=0.5,
 )
 def largest_of_a_discrete_group(subject: Subject, pair: list[Any], group: list[Any]) -> None:
     """The symmetric IoU is the largest over the rotations of a discrete group."""

@@ -138,6 +138,19 @@ def additive(
     close(subject(PRECISION, _errors(table), limits) * count, total, 1e-9, "all correct samples")
 
 
+@prop(
+    PRECISION,
+    reason="a joint threshold is missed as soon as one of its limits is",
+    given={"missed": st.sampled_from(sorted(LIMITS)), "which": st.integers(0, 2)},
+)
+def every_limit_decides(subject: Subject, missed: str, which: int) -> None:
+    """A sample that is perfect but for one error is wrong where that error is limited."""
+    perfect_but = {name: float(name in LARGER_IS_BETTER) for name in LIMITS}
+    perfect_but[missed] = LIMITS[missed][which] * (0.9 if missed in LARGER_IS_BETTER else 1.1)
+    errors = {name: np.array([value]) for name, value in perfect_but.items()}
+    close(subject(PRECISION, errors, _limits(sorted(LIMITS), which)), 0, FINE)
+
+
 @st.composite
 def categorised(draw: st.DrawFn) -> list[Any]:
     """[table, category of each sample, categories that are judged]."""

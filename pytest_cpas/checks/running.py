@@ -76,7 +76,7 @@ def adapter_module(name: str) -> Any:
     for entry in registered("metric"):
         if entry.name == name:
             return importlib.import_module(entry.module)
-    return importlib.import_module(name)
+    return importlib.import_module(name.partition(":")[0])
 
 
 def check(
