@@ -70,3 +70,21 @@ def docs_figures(session: nox.Session) -> None:
     """Draw the pictures of the documentation anew."""
     install(session, "-e", ".", "--group", "docs")
     session.run("python", "docs/figures/sample_count_convergence.py", env=os.environ | ENV)
+
+
+@nox.session
+def faults(session: nox.Session) -> None:
+    """Plant every fault of the catalogue: each is caught, and each property catches one."""
+    install(session, "-e", ".", "--group", "test")
+    session.run("python", "tests/checks/faults.py", *session.posargs, env=ENV)
+
+
+@nox.session
+def peers(session: nox.Session) -> None:
+    """Check published implementations of metrics: their recorded violations still happen."""
+    install(session, "-e", ".[open3d,xdist]", "manifold3d", "opencv-python-headless", "tqdm")
+    # what else these two require is not needed for their metrics
+    session.install("--no-deps", "cpas_toolbox==1.0.0", "cutoop==0.1.0")
+    names = session.posargs or ["cpas", "cpas_toolbox", "cutoop", "open3d", "trimesh"]
+    session.run("pytest", *(f"--cpas-metrics={name}" for name in names), env=ENV)
+    session.run("pytest", "tests/checks", "-k", "recorded_violations_of_peers", env=ENV)
