@@ -135,7 +135,7 @@ def operators() -> None:
         ),
     }
     for name, (ours, plain) in pairs.items():
-        mine, theirs = medians(ours, plain, repeats=15)
+        mine, theirs = medians(ours, plain, repeats=61)
         print(
             f"{name:38} ours {mine:6.2f} ms   plain {theirs:6.2f} ms   ratio {mine / theirs:.2f}"
             " (at most 1.2)"
