@@ -132,7 +132,8 @@ def _one_object(
     piece = cloud[keep & (label == np.bincount(label[keep]).argmax())]
     gap = max(GAP_LEAST, GAP_SHARE * np.ptp(piece[:, :2], axis=0).max())
     near, far = piece[:, 2].min() - gap, piece[:, 2].max() + gap
-    return (cloud[:, 2] > near) & (cloud[:, 2] < far)
+    within: NDArray[np.bool_] = (cloud[:, 2] > near) & (cloud[:, 2] < far)
+    return within
 
 
 def _free_space(observation: Observation, farthest: float) -> FreeSpace:

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import hypothesis  # noqa: F401 - else every run of pytest in this process imports it anew
 import pytest
+from harness import RUN
 
 import pytest_cpas.session  # noqa: F401 - runs in this process must share our modules
-
-RUN = ("-p", "no:dash", "-p", "no:cacheprovider")
 
 pytest_plugins = ["pytester"]
 

@@ -13,9 +13,11 @@ HEAVY = ("numpy", "scipy", "torch", "open3d", "trimesh", "PIL")
 ROOT = Path(__file__).parents[1]
 
 
-def run_python(code: str, **env: str) -> str:
+def run_python(code: str, folder: Path, **env: str) -> str:
+    """What ``code`` prints, in a folder without a conftest.py."""
     return subprocess.run(
         [sys.executable, "-c", code],
+        cwd=folder,
         check=True,
         capture_output=True,
         text=True,
@@ -38,17 +40,17 @@ def test_plugin_start_imports_nothing_heavy(tmp_path, autoload):
     (tmp_path / "test_x.py").write_text("def test_x(): pass")
     args = f"'-p', 'no:cacheprovider', '--rootdir', {str(tmp_path)!r}, {str(tmp_path)!r}"
     args += ", '-p', 'pytest_cpas.plugin'" if autoload else ", '-p', 'no:dash'"
-    out = run_python(PROBE.format(args=args), PYTEST_DISABLE_PLUGIN_AUTOLOAD=autoload)
+    out = run_python(PROBE.format(args=args), tmp_path, PYTEST_DISABLE_PLUGIN_AUTOLOAD=autoload)
     assert "1 passed" in out
     assert "HEAVY: []" in out
 
 
-def test_list_imports_nothing_heavy():
+def test_list_imports_nothing_heavy(tmp_path):
     code = (
         "import sys, pytest; code = pytest.main(['--cpas-list', '-p', 'no:dash']); "
         f"print('HEAVY:', sorted(set({HEAVY}) & set(sys.modules)), code)"
     )
-    out = run_python(code)
+    out = run_python(code, tmp_path)
     assert "HEAVY: [] 0" in out
     for name, value in (
         ("icp", "method_adapters.icp:Icp"),
@@ -57,10 +59,10 @@ def test_list_imports_nothing_heavy():
         assert any(line.split()[:2] == [name, value] for line in out.splitlines())
 
 
-def test_metrics_import_without_pytest_and_heavy_extras():
+def test_metrics_import_without_pytest_and_heavy_extras(tmp_path):
     forbidden = ("pytest", "torch", "open3d", "trimesh")
     code = f"import sys, pytest_cpas.metrics; print(sorted(set({forbidden}) & set(sys.modules)))"
-    assert run_python(code).strip() == "[]"
+    assert run_python(code, tmp_path).strip() == "[]"
 
 
 def test_wheel_holds_everything(tmp_path):

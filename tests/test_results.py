@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import RUN
+from harness import RUN
 
 from pytest_cpas.cli import main
 from pytest_cpas.results import Shard, merge, read_results

@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from conftest import RUN
+from harness import RUN
 
 GRID = [(), ("-n2",), ("-n2", "--dist=worksteal"), ("--cpas-granularity=scene",)]
 
