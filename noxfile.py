@@ -59,10 +59,31 @@ def types(session: nox.Session) -> None:
 @nox.session
 def benchmarks(session: nox.Session) -> None:
     """Ratios against peers, measured in the same run."""
-    install(session, "-e", ".[open3d,fast]", "--group", "benchmarks")
+    install(session, "-e", ".[fast,open3d,torch]", "--group", "benchmarks")
     session.install("--no-deps", "cpas_toolbox==1.0.0")
     for script in session.posargs or sorted(str(p) for p in Path("benchmarks").glob("bench_*.py")):
         session.run("python", script, env=ENV)
+
+
+@nox.session
+def ports(session: nox.Session) -> None:
+    """The ports with seeded random weights: golden table, and the networks of a peer."""
+    install(session, "-e", ".[open3d,torch,xdist]", "--group", "benchmarks")
+    session.install("--no-deps", "cpas_toolbox==1.0.0")
+    weights = session.create_tmp()
+    session.run("python", "tests/ports/cases.py", "weights", weights, env=ENV)
+    session.run(
+        "pytest",
+        "--cpas-method=sgpa",
+        "--cpas-dataset=synthetic-tabletop",
+        f"--cpas-weights={weights}",
+        "--cpas-golden=tests/ports/golden",
+        "--cpas-require-golden",
+        "--numprocesses=2",
+        "--quiet",
+        env=ENV,
+    )
+    session.run("pytest", "tests/ports", env=ENV)
 
 
 @nox.session

@@ -223,9 +223,13 @@ class MethodRun(Run):
         )
 
     @functools.cached_property
-    def _loaded(self) -> Method:
-        self._method.load(self._weights, self._device)
-        return self._method
+    def _load_error(self) -> Exception | None:
+        """Loads the method; what went wrong is remembered, not tried again for every sample."""
+        try:
+            self._method.load(self._weights, self._device)
+        except Exception as error:
+            return error
+        return None
 
     def judge(self, ref: SampleRef) -> Row:
         """Read, predict, validate, measure."""
@@ -234,8 +238,10 @@ class MethodRun(Run):
             sample = self._dataset.load(ref)
         except ContractError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
+        if self._load_error is not None:
+            raise SampleError(f"{where}: the method cannot be loaded: {self._load_error}")
         try:
-            answers = self._loaded.predict([sample.observation], self._seed)
+            answers = self._method.predict([sample.observation], self._seed)
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:

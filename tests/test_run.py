@@ -151,6 +151,15 @@ def test_dying_worker_costs_its_sample_only(recorded):
     )
 
 
+def test_method_that_cannot_be_loaded_is_tried_once(recorded):
+    result = recorded("CannotLoad")
+    assert result.ret == 1
+    result.assert_outcomes(passed=1, failed=12, skipped=2)
+    told = [line for line in result.stdout.lines if "cannot be loaded: w.pt is truncated" in line]
+    assert len(told) >= 12
+    assert all("(try 1)" in line for line in told)
+
+
 def test_wrong_number_of_answers(cpas):
     result = cpas("WrongLength")
     assert result.ret == 1

@@ -182,6 +182,14 @@ class Dies(Broken):
         os._exit(9)
 
 
+class CannotLoad(Perfect):
+    tried = 0
+
+    def load(self, assets: Path | None, device: str) -> None:
+        CannotLoad.tried += 1
+        raise ValueError(f"w.pt is truncated (try {CannotLoad.tried})")
+
+
 class WrongLength(Perfect):
     def predict(self, batch: list[Observation], seed: int) -> list[Prediction]:
         return super().predict(batch, seed) * 2
