@@ -59,7 +59,7 @@ def types(session: nox.Session) -> None:
 @nox.session
 def benchmarks(session: nox.Session) -> None:
     """Ratios against peers, measured in the same run."""
-    install(session, "-e", ".[fast,open3d,torch]", "--group", "benchmarks")
+    install(session, "-e", ".[fast,open3d,torch]")
     session.install("--no-deps", "cpas_toolbox==1.0.0")
     for script in session.posargs or sorted(str(p) for p in Path("benchmarks").glob("bench_*.py")):
         session.run("python", script, env=ENV)
@@ -68,7 +68,7 @@ def benchmarks(session: nox.Session) -> None:
 @nox.session
 def ports(session: nox.Session) -> None:
     """The ports with seeded random weights: golden table, and the networks of a peer."""
-    install(session, "-e", ".[open3d,torch,xdist]", "--group", "benchmarks")
+    install(session, "-e", ".[open3d,torch,xdist]")
     session.install("--no-deps", "cpas_toolbox==1.0.0")
     weights = session.create_tmp()
     session.run("python", "tests/ports/cases.py", "weights", weights, env=ENV)
