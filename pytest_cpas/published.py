@@ -74,7 +74,8 @@ def compare_published(
 ) -> list[Verdict]:
     """One verdict per category; it states the margin of every cell that both have.
 
-    Worse in one cell makes a category REGRESSED; better ones pass. Pure.
+    Worse in one cell makes a category REGRESSED; better ones pass. A part of the samples can be
+    worse, but not agree: that is one more verdict, NOT CHECKED. Pure.
     """
     judged = {
         cell: count
@@ -91,6 +92,11 @@ def compare_published(
                 lines[word].append(line)
         word = next(word for word, told in lines.items() if told)
         verdicts.append(Verdict(word, category, "\n  ".join(chain.from_iterable(lines.values()))))
+    count = max((count.total for count in judged.values()), default=0)
+    total = max((cell.total for cell in cells), default=0)
+    if 0 < count < total:
+        told = f"{count} of the {total} samples of the published table judged"
+        verdicts.append(Verdict(Word.NOT_CHECKED, "completeness", told))
     return verdicts
 
 

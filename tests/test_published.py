@@ -75,8 +75,16 @@ CELL = PublishedCell("mug", "10 deg, 2 cm", 600, 601, 1000)
 
 
 def verdict(correct: int, total: int) -> tuple[Word, str]:
-    (result,) = compare_published([CELL], {"mug": {CELL.label: Count(correct, total)}})
+    result = compare_published([CELL], {"mug": {CELL.label: Count(correct, total)}})[0]
     return result.word, result.details
+
+
+def test_part_of_the_samples_is_not_checked():
+    table = {"mug": {CELL.label: Count(60, 100)}}
+    words = {v.category: v.word for v in compare_published([CELL], table)}
+    assert words == {"mug": Word.AGREES, "completeness": Word.NOT_CHECKED}
+    (whole,) = compare_published([CELL], {"mug": {CELL.label: Count(600, 1000)}})
+    assert whole.word is Word.AGREES
 
 
 def test_words_and_margin():
