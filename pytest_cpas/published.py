@@ -92,10 +92,10 @@ def compare_published(
                 lines[word].append(line)
         word = next(word for word, told in lines.items() if told)
         verdicts.append(Verdict(word, category, "\n  ".join(chain.from_iterable(lines.values()))))
-    count = max((count.total for count in judged.values()), default=0)
+    seen = max((count.total for count in judged.values()), default=0)
     total = max((cell.total for cell in cells), default=0)
-    if 0 < count < total:
-        told = f"{count} of the {total} samples of the published table judged"
+    if 0 < seen < total:
+        told = f"{seen} of the {total} samples of the published table judged"
         verdicts.append(Verdict(Word.NOT_CHECKED, "completeness", told))
     return verdicts
 
