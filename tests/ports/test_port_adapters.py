@@ -11,7 +11,7 @@ import torch
 
 import method_adapters
 from pytest_cpas.datasets.nocs import Real275
-from pytest_cpas.evaluation import check_answers, measure, check_answers
+from pytest_cpas.evaluation import check_answers, measure
 from pytest_cpas.frames import to_standard
 from pytest_cpas.types import CATEGORIES, Observation
 
