@@ -49,8 +49,9 @@ def medians(*functions: Callable[[], object], repeats: int) -> list[float]:
 
 def peer_module(path: str) -> ModuleType:
     """A published network; what its package imports for training and plots alone is left out."""
-    for name in ("matplotlib", "matplotlib.pyplot", "tqdm"):
-        if name not in sys.modules and find_spec(name.partition(".")[0]) is None:
+    names = ("matplotlib", "matplotlib.pyplot", "tqdm")
+    for name in [n for n in names if n not in sys.modules]:
+        if name.partition(".")[0] in sys.modules or find_spec(name) is None:
             sys.modules[name] = MagicMock()
     return importlib.import_module(f"cpas_toolbox.cpas_methods.{path}")
 

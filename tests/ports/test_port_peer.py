@@ -22,9 +22,9 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 @pytest.fixture
 def peer(monkeypatch):
     """Import a module of the peer; what it needs for training and plots alone is left out."""
-    for name in ("cv2", "matplotlib", "matplotlib.pyplot", "tqdm"):
-        if name not in sys.modules and find_spec(name.partition(".")[0]) is None:
-            monkeypatch.setitem(sys.modules, name, MagicMock())
+    names = ("cv2", "matplotlib", "matplotlib.pyplot", "tqdm")
+    for name in [n for n in names if find_spec(n.partition(".")[0]) is None]:
+        monkeypatch.setitem(sys.modules, name, MagicMock())
     return lambda path: importlib.import_module(f"cpas_toolbox.cpas_methods.{path}")
 
 
