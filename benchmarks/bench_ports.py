@@ -49,7 +49,7 @@ def medians(*functions: Callable[[], object], repeats: int) -> list[float]:
 
 def peer_module(path: str) -> ModuleType:
     """A published network; what its package imports for training and plots alone is left out."""
-    names = ("matplotlib", "matplotlib.pyplot", "tqdm")
+    names = ("cv2", "matplotlib", "matplotlib.pyplot", "tqdm")
     for name in [n for n in names if n not in sys.modules]:
         if name.partition(".")[0] in sys.modules or find_spec(name) is None:
             sys.modules[name] = MagicMock()
