@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from pytest_cpas.estimates import encode_estimate
 from pytest_cpas.frames import to_standard
 from pytest_cpas.metrics.boxes import symmetric_iou
 from pytest_cpas.metrics.definitions import definition
@@ -68,6 +69,7 @@ class Row:
     ``translation_error`` in metres, ``rotation_error`` in degrees. ``iou``, ``fscore_1cm``: None
     is n/a (the method gives no extents or shape, or the data set has none). A failed prediction
     has its reason in ``failure`` and the errors of :data:`pytest_cpas.metrics.precision.FAILED`.
+    ``estimate``: the answer itself, as of :func:`pytest_cpas.estimates.encode_estimate`.
     """
 
     sample: str
@@ -77,6 +79,7 @@ class Row:
     iou: float | None
     fscore_1cm: float | None
     failure: str | None = None
+    estimate: str | None = None
 
     @property
     def errors(self) -> dict[str, float | None]:
@@ -310,7 +313,15 @@ def measure(
             ious = symmetric_iou(rotations, translations, extents, *true_box, symmetry).tolist()
         for i, distance, angle, iou in zip(members, distances, angles, ious, strict=True):
             fscore = _fscore(truths[i], best[i]) if "shape" in info.gives else None
-            rows[i] = Row(refs[i].id, refs[i].category, float(distance), float(angle), iou, fscore)
+            rows[i] = Row(
+                refs[i].id,
+                refs[i].category,
+                float(distance),
+                float(angle),
+                iou,
+                fscore,
+                estimate=encode_estimate(best[i]),
+            )
     return [row for row in rows if row is not None]
 
 

@@ -20,7 +20,7 @@ from typing import Any, TextIO
 from pytest_cpas.evaluation import Row, Run, SampleError
 from pytest_cpas.types import SampleRef
 
-FORMAT = 1
+FORMAT = 2
 
 
 class ResultsError(Exception):
