@@ -42,7 +42,7 @@ def test_no_estimates():
 
 @pytest.mark.parametrize("text", ["", "AAAA", "not base64"])
 def test_other_text_is_refused(text):
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="base64"):
         decode_estimates([text])
 
 
