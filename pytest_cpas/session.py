@@ -1,8 +1,7 @@
 """A pytest run with ``--cpas-*``: what is judged, the rows that come back, the verdict at the end.
 
-The same object lives on the controller and on every xdist worker. Workers judge; their rows ride
-on the test reports as plain values; the controller, which without xdist is the only process,
-collects them, compares with the golden tables and reports.
+Workers judge; their rows ride on the test reports; the controller collects them, compares with the
+golden tables and reports.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from typing import Any, Literal
 import pytest
 
 from pytest_cpas import registry
+from pytest_cpas._suite_session import SuiteSession
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import (
     GoldenError,
@@ -37,8 +37,6 @@ from pytest_cpas.types import ContractError, Method, MethodInfo, SampleRef
 #: Where an item keeps what it found out: rows, and errors of samples without one.
 FOUND = pytest.StashKey["Found"]()
 
-SUITE = Path(__file__).parent / "suite" / "test_samples.py"
-
 
 @dataclass
 class Found:
@@ -48,14 +46,12 @@ class Found:
     errors: list[tuple[str, str]] = field(default_factory=list)
 
 
-class CpasSession:
+class CpasSession(SuiteSession):
     """The hooks of a run, and its state."""
 
     def __init__(self, config: pytest.Config) -> None:
         """Resolve methods, data sets and predictions; :class:`pytest.UsageError` if that fails."""
-        self.config = config
-        self.is_controller = not hasattr(config, "workerinput")
-        self.update = bool(config.getoption("update_snapshots", False))
+        super().__init__(config, "test_samples.py", "cpas")
         self.golden = _golden_folder(config)
         self.runs: list[Run] = _resolve_runs(config)
         self.files = _results_files(config, self.runs)
@@ -64,8 +60,6 @@ class CpasSession:
         }
         self.verdicts: dict[Run, list[Verdict]] = {}
         self._broken = 0
-        named = config.args_source is pytest.Config.ArgsSource.ARGS
-        config.args = [*config.args, str(SUITE)] if named else [str(SUITE)]
 
     def groups(self, run: Run) -> Iterable[tuple[str, list[SampleRef]]]:
         """The samples of a run as (name, samples), one group per test item."""
@@ -79,49 +73,32 @@ class CpasSession:
 
     # -- items ------------------------------------------------------------------------------
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_pycollect_makemodule(
-        self, module_path: Path, parent: pytest.Collector
-    ) -> pytest.Module | None:
-        """Give the shipped suite short node ids that are the same wherever it is installed."""
-        if module_path != SUITE:
+    def found(self, item: pytest.Item) -> Any:
+        """The run's index and what the item found; None for items that judge no sample."""
+        if FOUND not in item.stash:
             return None
-        module: pytest.Module = pytest.Module.from_parent(
-            parent, path=module_path, name="cpas", nodeid="cpas"
-        )
-        return module
+        run = item.callspec.params["run"]  # type: ignore[attr-defined]
+        return self.runs.index(run), asdict(item.stash[FOUND])
 
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(
-        self, item: pytest.Item
-    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Put what an item found on its report, as plain values that xdist can send."""
-        report = yield
-        if report.when == "call" and FOUND in item.stash:
-            run = item.callspec.params["run"]  # type: ignore[attr-defined]
-            found = (self.runs.index(run), asdict(item.stash[FOUND]))
-            report.cpas_found = found  # type: ignore[attr-defined]
-        return report
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """On the controller: collect rows, and keep them on disk if asked to."""
-        if not self.is_controller:
-            return
-        if report.failed:
-            self._broken += 1
-        if not hasattr(report, "cpas_found"):
-            return
-        index, found = report.cpas_found
+    def collect(self, found: Any) -> None:
+        """Collect rows, and keep them on disk if asked to."""
+        index, content = found
         run = self.runs[index]
         file = self.files.get(run)
-        for values in found["rows"]:
+        for values in content["rows"]:
             row = Row(**values)
             self.rows[run][row.sample] = row
             if file:
                 file.add(row)
-        for sample, message in found["errors"]:
+        for sample, message in content["errors"]:
             if file:
                 file.add_error(sample, message)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """On the controller: collect, and count what failed."""
+        super().pytest_runtest_logreport(report)
+        if self.is_controller and report.failed:
+            self._broken += 1
 
     # -- verdict ----------------------------------------------------------------------------
 
@@ -236,9 +213,6 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
         )
     if options.cpas_limit is not None and options.cpas_limit < 1:
         raise pytest.UsageError(f"--cpas-limit is {options.cpas_limit}, expected at least 1")
-    here = str(config.invocation_params.dir)
-    if here not in sys.path:  # package.module:Class is looked for where pytest was started
-        sys.path.insert(0, here)
     data, weights = (
         None if folder is None else config.invocation_params.dir / folder
         for folder in (options.cpas_data, options.cpas_weights)

@@ -1,17 +1,13 @@
-"""A pytest run with ``--cpas-metrics``: one item per implementation and property, then the matrix.
-
-Results ride on the test reports, so that the controller of an xdist run has them all.
-"""
+"""A run with ``--cpas-metrics``: one item per implementation and property, then the matrix."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Generator
 from dataclasses import asdict
-from pathlib import Path
+from typing import Any
 
 import pytest
 
+from pytest_cpas._suite_session import SuiteSession
 from pytest_cpas.checks import PROPERTIES, Result, Subject, load_subject
 from pytest_cpas.checks.expectations import (
     Expectation,
@@ -30,18 +26,14 @@ __all__ = ["RESULT", "MetricsSession"]
 #: Where an item keeps its result, and whether that is the one that was recorded.
 RESULT = pytest.StashKey[tuple[Result, bool]]()
 
-SUITE = Path(__file__).parents[1] / "suite" / "test_metrics.py"
 
-
-class MetricsSession:
+class MetricsSession(SuiteSession):
     """The hooks of a run, and its state."""
 
     def __init__(self, config: pytest.Config) -> None:
         """Load the implementations; :class:`pytest.UsageError` if that fails."""
-        self.config = config
+        super().__init__(config, "test_metrics.py", "cpas-metrics")
         options = config.option
-        self.is_controller = not hasattr(config, "workerinput")
-        self.update = bool(config.getoption("update_snapshots", False))
         self.examples: int = options.cpas_examples or DEFAULT_EXAMPLES
         self.seed: int = options.cpas_seed
         if self.examples < 1:
@@ -51,8 +43,6 @@ class MetricsSession:
         for path in self.reports:
             if path.suffix not in (".json", ".md"):
                 raise pytest.UsageError(f"--cpas-metrics-report {path}: expected .json or .md")
-        if str(here) not in sys.path:  # package.module is looked for where pytest was started
-            sys.path.insert(0, str(here))
         try:
             self.subjects: list[Subject] = [
                 load_subject(name) for name in dict.fromkeys(options.cpas_metrics)
@@ -64,44 +54,23 @@ class MetricsSession:
         except (RegistryError, ContractError) as error:
             raise pytest.UsageError(str(error)) from error
         self.matrix: dict[str, dict[str, Cell]] = {subject.name: {} for subject in self.subjects}
-        named = config.args_source is pytest.Config.ArgsSource.ARGS
-        beside = named or config.pluginmanager.has_plugin("cpas-session")
-        config.args = [*config.args, str(SUITE)] if beside else [str(SUITE)]
 
     def expectation(self, subject: Subject, name: str) -> Expectation | None:
         """The recorded violation of a property, unless violations are recorded anew."""
         return None if self.update else self.expected[subject.name].get(name)
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_pycollect_makemodule(
-        self, module_path: Path, parent: pytest.Collector
-    ) -> pytest.Module | None:
-        """Give the shipped suite short node ids that are the same wherever it is installed."""
-        if module_path != SUITE:
+    def found(self, item: pytest.Item) -> Any:
+        """An item's result, and whether it is the recorded one."""
+        if RESULT not in item.stash:
             return None
-        module: pytest.Module = pytest.Module.from_parent(
-            parent, path=module_path, name="cpas-metrics", nodeid="cpas-metrics"
-        )
-        return module
+        result, expected = item.stash[RESULT]
+        return {**asdict(result), "outcome": result.outcome.value}, expected
 
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(
-        self, item: pytest.Item
-    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Put an item's result on its report, as plain values that xdist can send."""
-        report = yield
-        if report.when == "call" and RESULT in item.stash:
-            result, expected = item.stash[RESULT]
-            values = {**asdict(result), "outcome": result.outcome.value}
-            report.cpas_result = (values, expected)  # type: ignore[attr-defined]
-        return report
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """On the controller: collect results."""
-        if self.is_controller and hasattr(report, "cpas_result"):
-            values, expected = report.cpas_result
-            result = Result(**{**values, "outcome": Outcome(values["outcome"])})
-            self.matrix[result.subject][result.property] = Cell(result, expected)
+    def collect(self, found: Any) -> None:
+        """Enter a result into the matrix."""
+        values, expected = found
+        result = Result(**{**values, "outcome": Outcome(values["outcome"])})
+        self.matrix[result.subject][result.property] = Cell(result, expected)
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The matrix; reports and recorded violations are written."""

@@ -1,0 +1,72 @@
+"""What every session of a run shares: its shipped test module, and what items send back."""
+
+from __future__ import annotations
+
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+class SuiteSession(ABC):
+    """Collects one module of :mod:`pytest_cpas.suite`, and brings what its items found home.
+
+    The same object lives on the controller, which without xdist is the only process, and on every
+    xdist worker. What an item found rides on its test report.
+    """
+
+    def __init__(self, config: pytest.Config, module: str, node: str) -> None:
+        """Have ``suite/module`` collected under the node id ``node``.
+
+        It is collected beside the tests named on the command line; without any, alone.
+        """
+        self.config = config
+        self.is_controller = not hasattr(config, "workerinput")
+        self.update = bool(config.getoption("update_snapshots", False))
+        self._suite = Path(__file__).parent / "suite" / module
+        self._node = node
+        here = str(config.invocation_params.dir)
+        if here not in sys.path:  # package.module:Class is looked for where pytest was started
+            sys.path.insert(0, here)
+        others = [p for p in config.pluginmanager.get_plugins() if isinstance(p, SuiteSession)]
+        named = config.args_source is pytest.Config.ArgsSource.ARGS
+        config.args = [*(config.args if named or others else ()), str(self._suite)]
+
+    @abstractmethod
+    def found(self, item: pytest.Item) -> Any:
+        """What an item of the suite found out, as plain values that xdist can send, or None."""
+
+    @abstractmethod
+    def collect(self, found: Any) -> None:
+        """Take in, on the controller, what :meth:`found` gave for an item."""
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_pycollect_makemodule(
+        self, module_path: Path, parent: pytest.Collector
+    ) -> pytest.Module | None:
+        """Give the shipped suite short node ids that are the same wherever it is installed."""
+        if module_path != self._suite:
+            return None
+        module: pytest.Module = pytest.Module.from_parent(
+            parent, path=module_path, name=self._node, nodeid=self._node
+        )
+        return module
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Put what an item of this suite found on its report."""
+        report = yield
+        if report.when == "call" and item.path == self._suite:
+            report.cpas_found = (self._node, self.found(item))  # type: ignore[attr-defined]
+        return report
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """On the controller: collect."""
+        node, found = getattr(report, "cpas_found", (None, None))
+        if self.is_controller and node == self._node and found is not None:
+            self.collect(found)
