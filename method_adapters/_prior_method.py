@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import MEAN_SHAPES, asset_path, load_priors, require_torch
+from method_adapters._assets import MEAN_SHAPES, load_priors
 from method_adapters._crop import (
-    NoAnswerError,
     back_project,
     crop_of,
     depth_pixels,
@@ -20,15 +17,9 @@ from method_adapters._crop import (
     network_image,
     subset_in_order,
 )
+from method_adapters._network_method import Array, NetworkMethod
 from method_adapters._similarity import robust_umeyama
-from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, MethodInfo, Observation, Prediction
-
-if TYPE_CHECKING:
-    from torch import nn
-
-require_torch()
-
-Array = NDArray[np.float64]
+from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, MethodInfo, Observation
 
 #: x of the middle of the mug's mean shape, NOCS units: its handle pulls it off the origin.
 MUG_OFFSET = 0.08943803608
@@ -58,69 +49,17 @@ def method_info(name: str, weights: Asset, licence: str) -> MethodInfo:
     )
 
 
-class PriorMethod(ABC):
-    """A :class:`pytest_cpas.types.Method`: crop, network, pose.
-
-    A batch goes through the network together. Every observation has a generator of its own made
-    from the seed, so that it gets the same points in any batch.
-    """
-
-    info: ClassVar[MethodInfo]
-    #: Parts of the checkpoint that the network does not have.
-    unused: ClassVar[tuple[str, ...]] = ()
-
-    @staticmethod
-    @abstractmethod
-    def network() -> nn.Module:
-        """The network, not yet filled; torch is imported here."""
-
-    @abstractmethod
-    def interpret(
-        self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
-    ) -> Hypothesis:
-        """The answer from one sample's inputs and outputs; raises :class:`NoAnswerError`."""
+class PriorMethod(NetworkMethod[Inputs]):
+    """Crop, network with the category's prior, pose."""
 
     def load(self, assets: Path | None, device: str) -> None:
-        """Read weights and priors below the folder ``assets``.
-
-        Raises FileNotFoundError, :class:`method_adapters._assets.AssetError`, or ValueError for a
-        device that is not there.
-        """
-        from method_adapters._networks.running import Runner, load_weights
-
-        network = self.network()
-        load_weights(network, asset_path(assets, self.info.assets[0]), self.unused)
+        """As :meth:`NetworkMethod.load`, and the priors."""
+        super().load(assets, device)
         self._priors = load_priors(assets)
-        self._run = Runner(network, device)
-
-    def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:
-        """One prediction per observation."""
-        generators = [np.random.default_rng(seed) for _ in batch]
-        predictions: dict[int, Prediction] = {}
-        inputs: dict[int, Inputs] = {}
-        for i, observation in enumerate(batch):
-            try:
-                inputs[i] = self.prepare(observation, generators[i])
-            except NoAnswerError as error:
-                predictions[i] = Prediction.failed(str(error))
-        if inputs:
-            stacked = [np.stack(part) for part in zip(*inputs.values(), strict=True)]
-            outputs = self._run(*stacked)
-            for row, (i, given) in enumerate(inputs.items()):
-                try:
-                    found = self.interpret(given, tuple(x[row] for x in outputs), generators[i])
-                    predictions[i] = Prediction((found,))
-                except NoAnswerError as error:
-                    predictions[i] = Prediction.failed(str(error))
-        return [predictions[i] for i in range(len(batch))]
 
     def prepare(self, observation: Observation, generator: np.random.Generator) -> Inputs:
         """What the network sees of an observation; raises :class:`NoAnswerError`."""
-        if observation.category not in CATEGORIES:
-            raise NoAnswerError(
-                f"category {observation.category!r}: {self.info.name} knows {', '.join(CATEGORIES)}"
-            )
-        category = CATEGORIES.index(observation.category)
+        category = self.category_index(observation)
         crop = crop_of(observation.mask)
         rows, columns = depth_pixels(observation.mask, observation.depth, crop)
         picked = self.pick(len(rows), generator)
@@ -133,6 +72,13 @@ class PriorMethod(ABC):
             np.array(category),
             self._priors[category],
         )
+
+    def interpret(
+        self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
+    ) -> Hypothesis:
+        """From the last two outputs, assignment and deformation."""
+        *_, assign, deltas = outputs
+        return pose_from_assignment(inputs, assign, deltas, generator)
 
     def pick(self, count: int, generator: np.random.Generator) -> NDArray[np.int64]:
         """Which of ``count`` pixels are used."""

@@ -4,17 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from method_adapters._assets import NOCS_TERMS
-from method_adapters._prior_method import (
-    Array,
-    Inputs,
-    PriorMethod,
-    method_info,
-    pose_from_assignment,
-)
-from pytest_cpas.types import Asset, Hypothesis
+from method_adapters._prior_method import PriorMethod, method_info
+from pytest_cpas.types import Asset
 
 if TYPE_CHECKING:
     from torch import nn
@@ -39,10 +31,3 @@ class CrNet(PriorMethod):
         from method_adapters._networks.crnet import CrNet
 
         return CrNet()
-
-    def interpret(
-        self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
-    ) -> Hypothesis:
-        """From assignment and deformation."""
-        assign, deltas = outputs
-        return pose_from_assignment(inputs, assign, deltas, generator)

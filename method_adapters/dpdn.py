@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from method_adapters._assets import NOCS_TERMS
 from method_adapters._crop import POINT_COUNT, NoAnswerError
 from method_adapters._depth_filling import fill_depth
-from method_adapters._prior_method import MUG_OFFSET, Array, Inputs, PriorMethod, method_info
+from method_adapters._network_method import Array
+from method_adapters._prior_method import MUG_OFFSET, Inputs, PriorMethod, method_info
 from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:

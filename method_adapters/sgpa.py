@@ -4,17 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from method_adapters._assets import NOCS_TERMS
-from method_adapters._prior_method import (
-    Array,
-    Inputs,
-    PriorMethod,
-    method_info,
-    pose_from_assignment,
-)
-from pytest_cpas.types import Asset, Hypothesis
+from method_adapters._prior_method import PriorMethod, method_info
+from pytest_cpas.types import Asset
 
 if TYPE_CHECKING:
     from torch import nn
@@ -41,10 +33,3 @@ class Sgpa(PriorMethod):
         from method_adapters._networks.sgpa import SgpaNet
 
         return SgpaNet()
-
-    def interpret(
-        self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
-    ) -> Hypothesis:
-        """From assignment and deformation; the structure points are not needed."""
-        _, assign, deltas = outputs
-        return pose_from_assignment(inputs, assign, deltas, generator)
