@@ -134,7 +134,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-list",
         action="store_true",
-        help="print what is registered, without importing it, and exit",
+        help="print what is registered, and which weights of the methods are there, and exit",
     )
     parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
 
@@ -143,13 +143,11 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     """``--cpas-list`` prints and ends."""
     if not config.option.cpas_list:
         return None
-    from pytest_cpas.registry import KINDS, registered
+    from pytest_cpas.listing import listing
 
-    for kind, words in KINDS.items():
-        print(f"{words}s:")
-        for entry in registered(kind):
-            owner = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown"
-            print(f"  {entry.name:24} {entry.value}  ({owner})")
+    weights = config.option.cpas_weights
+    for line in listing(config.invocation_params.dir / weights if weights else None):
+        print(line)
     return 0
 
 

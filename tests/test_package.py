@@ -45,18 +45,48 @@ def test_plugin_start_imports_nothing_heavy(tmp_path, autoload):
     assert "HEAVY: []" in out
 
 
-def test_list_imports_nothing_heavy(tmp_path):
-    code = (
-        "import sys, pytest; code = pytest.main(['--cpas-list', '-p', 'no:dash']); "
-        f"print('HEAVY:', sorted(set({HEAVY}) & set(sys.modules)), code)"
+def test_list_says_what_methods_need_and_whether_weights_are_there(tmp_path):
+    """Methods are imported for it, so they must be light until they are loaded."""
+    heavy = tuple(name for name in HEAVY if name not in ("numpy", "scipy"))
+    info = tmp_path / "lab-3.1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab\nVersion: 3.1\n")
+    (info / "entry_points.txt").write_text(
+        "[pytest_cpas.methods]\nbroken = lab_broken:X\nempty = collections:Counter\n"
     )
-    out = run_python(code, tmp_path)
+    (tmp_path / "lab_broken.py").write_text("import not_there")
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "weights" / "mean_points_emb.npy").touch()
+    code = (
+        "import sys, pytest; code = pytest.main(['--cpas-list', '-p', 'no:dash', *sys.argv[1:]]); "
+        f"print('HEAVY:', sorted(set({heavy}) & set(sys.modules)), code)"
+    )
+    path = {"PYTHONPATH": str(tmp_path)}
+    out = run_python(code, tmp_path, **path, CPAS_WEIGHTS=str(tmp_path / "weights"))
     assert "HEAVY: [] 0" in out
-    for name, value in (
-        ("icp", "method_adapters.icp:Icp"),
-        ("real275", "pytest_cpas.datasets.nocs:Real275"),
-    ):
-        assert any(line.split()[:2] == [name, value] for line in out.splitlines())
+    lines = [line.strip() for line in out.splitlines()]
+
+    def after(*words: str) -> list[str]:
+        (start,) = (i for i, line in enumerate(lines) if tuple(line.split()[:2]) == words)
+        return lines[start + 1 : start + 5]
+
+    licence, parts, weights, _ = after("icp", "method_adapters.icp:Icp")
+    assert (licence, parts) == ("licence MIT", "needs depth; gives pose, extents, shape")
+    assert weights == "weights: none needed"
+    licence, parts, weights, priors = after("sgpa", "method_adapters.sgpa:Sgpa")
+    assert licence == "licence MIT (this port; the weights state no licence)"
+    assert parts == "needs depth, rgb; gives pose, extents, shape"
+    assert weights == f"weights: {tmp_path}/weights/sgpa/real.pth not found"
+    assert priors == f"weights: {tmp_path}/weights/mean_points_emb.npy found"
+    (reason, *_) = after("broken", "lab_broken:X")
+    assert reason.startswith("cannot be used: method 'broken', registered by lab 3.1: lab_broken:X")
+    assert "No module named 'not_there'" in reason
+    (reason, *_) = after("empty", "collections:Counter")
+    assert reason == "cannot be used: it has no attribute info of type MethodInfo"
+    after("real275", "pytest_cpas.datasets.nocs:Real275")
+
+    out = run_python(code, tmp_path, CPAS_WEIGHTS="")
+    assert "weights: sgpa/real.pth, mean_points_emb.npy (no --cpas-weights to look in)" in out
 
 
 def test_metrics_import_without_pytest_and_heavy_extras(tmp_path):
