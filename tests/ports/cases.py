@@ -95,7 +95,7 @@ def thinned(x: np.ndarray) -> np.ndarray:
 
 def check_network(name: str) -> None:
     """The network's outputs are those recorded."""
-    _compare(name, "network", outputs_of(network(name), network_inputs()))
+    compare(name, "network", outputs_of(network(name), network_inputs()))
 
 
 def observation(category: str, centre: tuple[float, float], radius: float) -> Observation:
@@ -149,15 +149,16 @@ def loaded(name: str) -> PriorMethod:
 
 def check_inputs(name: str) -> None:
     """What the network sees is what was recorded."""
-    _compare(name, "input", network_sees(unloaded(name)))
+    compare(name, "input", network_sees(unloaded(name)))
 
 
 def check_raw_outputs(method: PriorMethod) -> None:
     """A loaded method's raw outputs are those recorded."""
-    _compare(method.info.name, "raw", list(method._run(*network_sees(method))))
+    compare(method.info.name, "raw", list(method._run(*network_sees(method))))
 
 
-def _compare(name: str, what: str, arrays: list[np.ndarray]) -> None:
+def compare(name: str, what: str, arrays: list[np.ndarray]) -> None:
+    """What a method sees or says is what was recorded."""
     with np.load(GOLDEN / f"{name}.npz") as data:
         recorded = dict(data)
     for i, array in enumerate(arrays):

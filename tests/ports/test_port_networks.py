@@ -1,7 +1,6 @@
-import json
-
 import cases
 import numpy as np
+import parity
 import pytest
 import recipe
 import torch
@@ -31,11 +30,8 @@ SAMPLERS = {
 
 def with_published_weights(shared_ports, name):
     """The network, loaded with the recipe's weights by the published names, and its data."""
-    inventory = json.loads((shared_ports / "inventory" / f"{name}.json").read_text())
-    with np.load(shared_ports / "parity" / f"{name}.npz") as file:
-        data = dict(file)
-    weights = recipe.state_dict(inventory, int(data["weights_seed"]))
-    assert recipe.sha256(weights) == str(data[f"weights_sha256__{name}"])
+    data = parity.read(shared_ports, name)
+    weights = parity.weights(shared_ports, name, data)
     unused = cases.METHODS[name].unused
     used = {k: v for k, v in weights.items() if not k.startswith(unused or ("-",))}
     assert len(weights) - len(used) == {"sgpa": 16, "dpdn": 2}.get(name, 0)
@@ -48,18 +44,7 @@ def with_published_weights(shared_ports, name):
 def test_every_output_and_tap_of_the_original(shared_ports, name):
     network, data = with_published_weights(shared_ports, name)
     seen = {}
-    calls = {}
-
-    def tap(path):
-        def keep(module, arguments, result):
-            call = calls[path] = calls.get(path, -1) + 1
-            parts = result if isinstance(result, tuple) else (result,)
-            seen.update({f"tap__{path}__call{call}__out{j}": x for j, x in enumerate(parts)})
-
-        return keep
-
-    for path in {key.split("__")[1] for key in data if key.startswith("tap__")}:
-        network.get_submodule(path).register_forward_hook(tap(path))
+    parity.tap(network, data, seen)
     inputs = [torch.from_numpy(data[f"input__{key}"]) for key in INPUTS[name]]
     variants = {"": inputs[0]}
     if name == "dpdn":
@@ -69,34 +54,14 @@ def test_every_output_and_tap_of_the_original(shared_ports, name):
             result = network(points, *inputs[1:])
             for key, output in zip(OUTPUTS[name], result, strict=True):
                 seen[f"output__{prefix}{key}"] = output
-
-    checked = 0
-    for key in data:
-        base = key.removesuffix("__sub")
-        if not key.startswith(("output__", "tap__")) or key.endswith(("stride", "shape", "__l2")):
-            continue
-        ours, expected = seen[base].numpy(), np.ravel(data[key])
-        thin = ours.ravel()
-        if base != key:
-            assert ours.shape == tuple(data[f"{base}__shape"]), key
-            thin = thin[:: int(data[f"{base}__stride"])]
-        difference = cases.relative(thin, expected)
-        assert difference <= cases.TOLERANCE, f"{key}: {difference:.2e}"
-        middle = expected.mean()  # what is nearly constant must not hide behind its mean
-        assert cases.relative(thin - middle, expected - middle) <= 1e-4, key
-        if f"{base}__l2" in data:
-            length = np.linalg.norm(ours.astype(np.float64))
-            assert length == pytest.approx(float(data[f"{base}__l2"]), rel=cases.TOLERANCE)
-        checked += 1
-    assert checked == {"spd": 6, "crnet": 8, "sgpa": 7, "dpdn": 22}[name]
+    assert parity.compare(seen, data) == {"spd": 6, "crnet": 8, "sgpa": 7, "dpdn": 22}[name]
 
 
 @pytest.mark.parametrize(
     ("name", "cloud"), [(name, cloud) for name, clouds in SAMPLERS.items() for cloud in clouds]
 )
 def test_samples_of_every_level(shared_ports, name, cloud):
-    with np.load(shared_ports / "parity" / f"{name}.npz") as file:
-        data = dict(file)
+    data = parity.read(shared_ports, name)
     path, key = SAMPLERS[name][cloud]
     xyz = torch.from_numpy(data[f"input__{key}"])
     if name == "dpdn" and cloud != "prior":
