@@ -378,12 +378,14 @@ def _extents(value: ArrayLike) -> Array:
 class SampleRef:
     """An entry of a data set's index; no image is opened to make one.
 
-    ``id`` is unique in the data set and stable; ``scene`` groups samples that belong together.
+    ``id`` is unique in the data set and stable; ``scene`` groups samples that belong together;
+    ``model`` is the data set's name of the object, the same for all its samples, if it has one.
     """
 
     id: str
     category: str
     scene: str
+    model: str = ""
 
 
 @dataclass(frozen=True, eq=False)

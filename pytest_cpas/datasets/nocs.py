@@ -148,7 +148,7 @@ class NocsTree:
             raise ContractError(f"{frame}_meta.txt: a mask id occurs twice")
         samples = []
         for index, (mask_id, category, model) in enumerate(sorted(entries)):
-            ref = SampleRef(f"{frame}/{mask_id}", category, frame.split("/")[0])
+            ref = SampleRef(f"{frame}/{mask_id}", category, frame.split("/")[0], model)
             self._objects[ref.id] = _Object(mask_id, model, index)
             samples.append(ref)
         return samples
