@@ -37,7 +37,7 @@ def demo(session: nox.Session) -> None:
 @nox.session
 def tests(session: nox.Session) -> None:
     """The project's own tests."""
-    install(session, "-e", ".[fast,open3d,torch,xdist]", "--group", "test")
+    install(session, "-e", ".[fast,open3d,sdf,torch,xdist]", "--group", "test")
     session.run("pytest", "--numprocesses=2", *session.posargs, env=ENV)
 
 
@@ -52,14 +52,14 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """Static types, strict."""
-    install(session, "-e", ".[fast,open3d,torch,xdist]", "--group", "types")
+    install(session, "-e", ".[fast,open3d,sdf,torch,xdist]", "--group", "types")
     session.run("mypy")
 
 
 @nox.session
 def benchmarks(session: nox.Session) -> None:
     """Ratios against peers, measured in the same run."""
-    install(session, "-e", ".[fast,open3d,torch]")
+    install(session, "-e", ".[fast,open3d,sdf,torch]")
     session.install("--no-deps", "cpas_toolbox==1.0.0")
     for script in session.posargs or sorted(str(p) for p in Path("benchmarks").glob("bench_*.py")):
         session.run("python", script, env=ENV)
@@ -68,7 +68,7 @@ def benchmarks(session: nox.Session) -> None:
 @nox.session
 def ports(session: nox.Session) -> None:
     """The ports with seeded random weights: golden table, and the networks of a peer."""
-    install(session, "-e", ".[open3d,torch,xdist]")
+    install(session, "-e", ".[open3d,sdf,torch,xdist]")
     session.install("--no-deps", "cpas_toolbox==1.0.0")
     weights = session.create_tmp()
     session.run("python", "tests/ports/cases.py", "weights", weights, env=ENV)
