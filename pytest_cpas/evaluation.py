@@ -207,13 +207,15 @@ class MethodRun(Run):
         """List the samples whose category the method knows; nothing is loaded yet."""
         self._method, self._dataset = method, dataset
         self._weights, self._device, self._seed = weights, device, seed
-        known = [s for s in dataset.samples if s.category in method.info.categories]
+        absent = getattr(dataset, "absent", frozenset())
+        present = [s for s in dataset.samples if s.id not in absent]
+        known = [s for s in present if s.category in method.info.categories]
         missing = list(dataset.missing)
-        unknown = sorted({s.category for s in dataset.samples} - set(method.info.categories))
+        unknown = sorted({s.category for s in present} - set(method.info.categories))
         if unknown:
             missing.append(
                 f"{method.info.name} does not know {', '.join(unknown)}:"
-                f" {len(dataset.samples) - len(known)} samples left out"
+                f" {len(present) - len(known)} samples left out"
             )
         super().__init__(
             method.info.name,

@@ -549,7 +549,9 @@ class Dataset(Protocol):
 
     ``samples`` is in a stable order and made without opening an image. ``digest`` identifies the
     content that the samples are judged by. ``missing``: what a partial copy lacks, one line each.
-    ``damaged``: what could not even be listed, one line each; the run fails over it.
+    ``damaged``: what could not even be listed, one line each; the run fails over it. A data set may
+    have a set ``absent`` of ids that are listed but whose images are not there, so that only their
+    truth is known: no method is judged on them.
     """
 
     name: str

@@ -2,26 +2,42 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pytest_cpas.types import ContractError
+from pytest_cpas.datasets._files import regular
+from pytest_cpas.types import Camera, ContractError
 
 
-def _read(path: Path, modes: tuple[str, ...], what: str) -> NDArray[np.generic]:
+def _read(path: Path, camera: Camera, modes: tuple[str, ...], what: str) -> NDArray[np.generic]:
+    """Decode, once mode and size are known to be the right ones."""
     try:
-        with Image.open(path) as image:
+        with (
+            warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning),
+            # some of Pillow's other formats start programs
+            Image.open(regular(path), formats=("PNG", "JPEG")) as image,
+        ):
             if image.mode not in modes:
                 raise ContractError(
                     f"{path}: image mode is {image.mode}, expected {' or '.join(modes)} ({what})"
                 )
+            if image.size != (camera.width, camera.height):
+                raise ContractError(
+                    f"{path}: {image.width} x {image.height} pixels, but the camera has"
+                    f" {camera.width} x {camera.height}"
+                )
             return np.asarray(image)
-    except FileNotFoundError:
-        raise ContractError(f"{path}: no such file") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        Image.DecompressionBombError,
+        Image.DecompressionBombWarning,
+    ) as error:
         if isinstance(error, ContractError):
             raise
         raise ContractError(
@@ -29,20 +45,20 @@ def _read(path: Path, modes: tuple[str, ...], what: str) -> NDArray[np.generic]:
         ) from error
 
 
-def read_rgb(path: Path) -> NDArray[np.float32]:
+def read_rgb(path: Path, camera: Camera) -> NDArray[np.float32]:
     """8-bit colour as (H, W, 3) float32 in 0..1."""
-    image = _read(path, ("RGB", "RGBA"), "8-bit colour")
+    image = _read(path, camera, ("RGB", "RGBA"), "8-bit colour")
     return image[:, :, :3].astype(np.float32) / np.float32(255)
 
 
-def read_depth(path: Path) -> NDArray[np.float32]:
+def read_depth(path: Path, camera: Camera) -> NDArray[np.float32]:
     """16-bit millimetres as (H, W) float32 metres, 0 = missing."""
-    image = _read(path, ("I;16", "I;16B"), "16-bit depth in millimetres")
+    image = _read(path, camera, ("I;16", "I;16B"), "16-bit depth in millimetres")
     return image.astype(np.float32) / np.float32(1000)
 
 
-def read_ids(path: Path) -> NDArray[np.uint8]:
+def read_ids(path: Path, camera: Camera) -> NDArray[np.uint8]:
     """8-bit instance ids (H, W); of a colour image the first channel (CAMERA25)."""
-    image = _read(path, ("L", "P", "RGB", "RGBA"), "8-bit instance ids")
+    image = _read(path, camera, ("L", "P", "RGB", "RGBA"), "8-bit instance ids")
     ids: NDArray[np.uint8] = (image if image.ndim == 2 else image[:, :, 0]).astype(np.uint8)
     return ids

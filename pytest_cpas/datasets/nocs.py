@@ -26,11 +26,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from pytest_cpas._safe_pickle import load_numpy_pickle
+from pytest_cpas.datasets._files import names, natural
 from pytest_cpas.datasets._images import read_depth, read_ids, read_rgb
+from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
 from pytest_cpas.types import (
     CATEGORIES,
@@ -100,9 +101,9 @@ class NocsTree:
         samples: list[SampleRef] = []
         absent: dict[str, list[str]] = defaultdict(list)
         folder = self.root / "real_test"
-        truths = _names(self.root / "gts" / "real_test")
-        for scene in sorted(_names(folder), key=_natural):
-            files = _names(folder / scene)
+        truths = names(self.root / "gts" / "real_test")
+        for scene in sorted(names(folder), key=natural):
+            files = names(folder / scene)
             frames = sorted({name.split("_")[0] for name in files if "_" in name})
             for number in frames:
                 frame = f"{scene}/{number}"
@@ -233,9 +234,9 @@ class NocsTree:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
         stem = self.root / "real_test" / frame
         return (
-            read_rgb(stem.with_name(f"{stem.name}_color.png")),
-            read_depth(stem.with_name(f"{stem.name}_depth.png")),
-            read_ids(stem.with_name(f"{stem.name}_mask.png")),
+            read_rgb(stem.with_name(f"{stem.name}_color.png"), self.camera),
+            read_depth(stem.with_name(f"{stem.name}_depth.png"), self.camera),
+            read_ids(stem.with_name(f"{stem.name}_mask.png"), self.camera),
         )
 
     def _read_mesh(self, model: str) -> tuple[Mesh | None, Array]:
@@ -248,11 +249,7 @@ class NocsTree:
                 raise ContractError(
                     f"{self._extents_path(model)}: expected three extents in metres ({error})"
                 ) from error
-        try:
-            loaded = trimesh.load_mesh(path, process=False)
-            mesh = Mesh(loaded.vertices @ NOCS_FROM_SHAPENET, loaded.faces)
-        except Exception as error:  # trimesh raises what its parsers raise
-            raise ContractError(f"{path}: not a readable mesh ({error}); fetch it again") from error
+        mesh = read_mesh(path, NOCS_FROM_SHAPENET.T)
         low, high = mesh.bounds
         return mesh, high - low
 
@@ -269,11 +266,3 @@ class Real275(NocsTree):
                 super().__init__("real275", root, REAL_CAMERA)
                 return
         raise FileNotFoundError(f"no real_test folder in {data_dir}.\n{_DOWNLOAD}")
-
-
-def _names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-
-
-def _natural(name: str) -> list[int | str]:
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]

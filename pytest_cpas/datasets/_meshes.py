@@ -1,0 +1,27 @@
+"""Reading meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from pytest_cpas.datasets._files import regular
+from pytest_cpas.types import Array, ContractError, Mesh
+
+
+def read_mesh(path: Path, axes: Array | None = None) -> Mesh:
+    """The mesh in a file; ``axes`` (3, 3), if given, maps its coordinates to those wanted.
+
+    Raises :class:`ContractError` naming the file when it is damaged or has no triangles.
+    """
+    try:
+        # materials would be looked for beside the file, or wherever it says
+        loaded = trimesh.load_mesh(regular(path), process=False, skip_materials=True)
+        vertices = np.asarray(loaded.vertices, dtype=float)
+        return Mesh(vertices if axes is None else vertices @ axes.T, loaded.faces)
+    except Exception as error:  # trimesh raises what its parsers raise
+        if isinstance(error, ContractError) and str(path) in str(error):
+            raise
+        raise ContractError(f"{path}: not a readable mesh ({error}); fetch it again") from error
