@@ -207,7 +207,7 @@ class MethodRun(Run):
         """List the samples whose category the method knows; nothing is loaded yet."""
         self._method, self._dataset = method, dataset
         self._weights, self._device, self._seed = weights, device, seed
-        absent = getattr(dataset, "absent", frozenset())
+        absent: frozenset[str] = getattr(dataset, "absent", frozenset())
         present = [s for s in dataset.samples if s.id not in absent]
         known = [s for s in present if s.category in method.info.categories]
         missing = list(dataset.missing)
