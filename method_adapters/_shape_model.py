@@ -7,7 +7,6 @@ import zlib
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +40,13 @@ def read_shape_model(path: Path) -> ShapeModel:
     K at least 3. Raises :class:`AssetError` for a file without exactly one such pair.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            plain = [name for name in file.files if _is_plain(file.zip.open(f"{name}.npy"))]
-            arrays = {name: file[name] for name in plain}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        with zipfile.ZipFile(path) as archive:
+            arrays = {
+                member.removesuffix(".npy"): array
+                for member in archive.namelist()
+                if (array := _plain_array(archive, member)) is not None
+            }
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise AssetError(
             f"{path}: it cannot be read as arrays ({type(error).__name__}: {error}); is it torn,"
             " or a web page? Fetch it again"
@@ -63,14 +65,19 @@ def read_shape_model(path: Path) -> ShapeModel:
     return models[0]
 
 
-def _is_plain(member: IO[bytes]) -> bool:
-    """Whether an array can be read without unpickling, by its header alone."""
+def _plain_array(archive: zipfile.ZipFile, member: str) -> NDArray[np.generic] | None:
+    """An array of a .npz archive; None where it would have to be unpickled."""
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
     }
-    read = readers.get(np.lib.format.read_magic(member))
-    return read is not None and not read(member)[2].hasobject
+    with archive.open(member) as file:
+        read = readers.get(np.lib.format.read_magic(file))
+        if read is None or read(file)[2].hasobject:
+            return None
+    with archive.open(member) as file:
+        array: NDArray[np.generic] = np.lib.format.read_array(file, allow_pickle=False)
+        return array
 
 
 def _model(mean: NDArray[np.generic], components: NDArray[np.generic]) -> ShapeModel | None:

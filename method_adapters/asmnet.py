@@ -33,7 +33,8 @@ Array = NDArray[np.float64]
 
 #: Points that the network takes.
 POINT_COUNT = 800
-#: Depth from here on is background, metres.
+#: Depth from here on is background: so many standard deviations beyond the mean, and metres.
+FAR_DEVIATIONS = 2.0
 FARTHEST = 3.0
 #: Neighbours and deviations of the outlier removal of the observed cloud and of the shape.
 OBSERVED_OUTLIERS = (100, 2.0)
@@ -119,7 +120,9 @@ class AsmNet:
         if seen.any():
             values = depth[seen]
             # the nearest stay: where all depths are one, the limit is that depth
-            seen &= (depth < values.mean() + 2 * values.std()) | (depth == values.min())
+            seen &= (depth < values.mean() + FAR_DEVIATIONS * values.std()) | (
+                depth == values.min()
+            )
         seen &= depth < FARTHEST
         if np.count_nonzero(seen) < MIN_DEPTH_PIXELS:
             raise NoAnswerError(
