@@ -1,5 +1,5 @@
 """From an observation to what the networks see: the crop rule of the NOCS code, and the sampling
-of image and points that SPD, CR-Net, SGPA and DPDN share."""
+of image and points that several ports share."""
 
 from __future__ import annotations
 
@@ -29,40 +29,53 @@ class NoAnswerError(Exception):
 
 @dataclass(frozen=True)
 class Crop:
-    """A square window: first ``row`` and ``column``, and ``side``, in pixels."""
+    """A window: first ``row`` and ``column``, ``height`` and ``width``, in pixels."""
 
     row: int
     column: int
-    side: int
+    height: int
+    width: int
 
     @property
     def slices(self) -> tuple[slice, slice]:
         """Index of the window in an image."""
         return (
-            slice(self.row, self.row + self.side),
-            slice(self.column, self.column + self.side),
+            slice(self.row, self.row + self.height),
+            slice(self.column, self.column + self.width),
         )
 
 
 def crop_of(mask: NDArray[np.bool_]) -> Crop:
-    """The window around a mask (H, W), at least 40 pixels each way.
+    """The square window around a mask (H, W), at least 40 pixels each way.
 
     Its side is the next multiple of 40 above the longer side of the box, at most 440 and what the
     image holds; it is centred on the box and shifted into the image. Published codes take any
     image for one of 480 x 640.
     """
     height, width = mask.shape
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    first, last = (rows[0], columns[0]), (rows[-1], columns[-1])
-    longer = max(last[0] - first[0], last[1] - first[1])
-    side = int(min((longer // 40 + 1) * 40, 440, min(height, width) // 40 * 40))
-    if side == 0:
-        raise NoAnswerError(f"the image is {width} x {height}; expected at least 40 x 40 pixels")
-    row, column = (
-        int(np.clip((low + high) // 2 - side // 2, 0, size - side))
-        for low, high, size in zip(first, last, (height, width), strict=True)
-    )
-    return Crop(row, column, side)
+    (top, bottom), (left, right) = mask_limits(mask)
+    longer = max(bottom - top, right - left)
+    side = min((longer // 40 + 1) * 40, 440, whole_forties(min(mask.shape)))
+    row = placed(top + bottom, side, height)
+    return Crop(row, placed(left + right, side, width), side, side)
+
+
+def mask_limits(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last row, first and last column of a mask (H, W)."""
+    used = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return [(int(places[0]), int(places[-1])) for places in used]
+
+
+def whole_forties(size: int) -> int:
+    """The largest multiple of 40 that ``size`` pixels hold; raises :class:`NoAnswerError` for 0."""
+    if size < 40:
+        raise NoAnswerError(f"the image is {size} pixels high or wide; expected at least 40")
+    return size // 40 * 40
+
+
+def placed(low_plus_high: int, side: int, size: int) -> int:
+    """Where a window of ``side`` of ``size`` pixels begins that has the given middle, doubled."""
+    return min(max(low_plus_high // 2 - side // 2, 0), size - side)
 
 
 def resize(image: Image, side: int) -> Image:
@@ -102,12 +115,14 @@ def depth_pixels(
     return rows, columns
 
 
-def subset_in_order(count: int, generator: np.random.Generator) -> NDArray[np.int64]:
-    """SPD's, CR-Net's and SGPA's choice of ``POINT_COUNT`` from ``count`` pixels: a random subset
-    in its old order, or all of them repeated cyclically."""
-    if count > POINT_COUNT:
-        return np.sort(generator.choice(count, POINT_COUNT, replace=False))
-    return np.arange(POINT_COUNT) % count
+def subset_in_order(
+    count: int, generator: np.random.Generator, wanted: int = POINT_COUNT
+) -> NDArray[np.int64]:
+    """SPD's, CR-Net's, SGPA's and CASS's choice of ``wanted`` from ``count`` pixels: a random
+    subset in its old order, or all of them repeated cyclically."""
+    if count > wanted:
+        return np.sort(generator.choice(count, wanted, replace=False))
+    return np.arange(wanted) % count
 
 
 def back_project(
@@ -124,7 +139,7 @@ def feature_index(
     rows: NDArray[np.int64], columns: NDArray[np.int64], crop: Crop
 ) -> NDArray[np.int64]:
     """Row-major indices into the 192 x 192 feature map of pixels within the crop."""
-    ratio = IMAGE_SIDE / crop.side
+    ratio = IMAGE_SIDE / crop.width
     index = np.floor(rows * ratio) * IMAGE_SIDE + np.floor(columns * ratio)
     whole: NDArray[np.int64] = index.astype(np.int64)
     return whole

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from method_adapters._networks.heads import CategoryMlp, at_pixels, first_layer, pointwise
 from method_adapters._networks.pointnet2 import PointNet2
-from method_adapters._networks.pspnet import NormPSPNet
+from method_adapters._networks.pspnet import BottleneckPSPNet
 
 PRIOR_POINTS = 1024
 
@@ -52,7 +52,8 @@ class ColourExtractor(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.model = NormPSPNet()
+        final = nn.Sequential(nn.Conv2d(64, 128, 1), nn.BatchNorm2d(128), nn.PReLU())
+        self.model = BottleneckPSPNet(True, final)
 
     def forward(self, image: Tensor) -> Tensor:
         """(B, 3, H, W) to (B, 128, H, W)."""

@@ -1,5 +1,5 @@
 """The colour encoders: a ResNet-18 at an eighth of the resolution, pyramid pooling (Zhao et al.,
-CVPR 2017) and three up-blocks. The published codes have two variants."""
+CVPR 2017) and three up-blocks. The published codes have two variants of pyramid and up-block."""
 
 from __future__ import annotations
 
@@ -118,15 +118,15 @@ class UpBlock(nn.Module):
         return y
 
 
-class NormUpBlock(nn.Module):
-    """The same with batch norm, as DPDN has it."""
+class BilinearUpBlock(nn.Module):
+    """The same as CASS and DPDN have it; ``norm``: with batch norm."""
 
-    def __init__(self, before: int, after: int) -> None:
+    def __init__(self, before: int, after: int, norm: bool) -> None:
         super().__init__()
         self.conv = nn.Sequential(
             nn.UpsamplingBilinear2d(scale_factor=2),  # it aligns corners
             nn.Conv2d(before, after, 3, padding=1),
-            nn.BatchNorm2d(after),
+            *([nn.BatchNorm2d(after)] if norm else []),
             nn.PReLU(),
         )
 
@@ -152,16 +152,17 @@ class PSPNet(nn.Module):
         return y
 
 
-class NormPSPNet(nn.Module):
-    """DPDN's: (B, 3, H, W) to (B, 128, H, W), sides divisible by 8."""
+class BottleneckPSPNet(nn.Module):
+    """CASS's, and with batch norm (``norm``) DPDN's: (B, 3, H, W), sides divisible by 8, to what
+    ``final`` makes of (B, 64, H, W)."""
 
-    def __init__(self) -> None:
+    def __init__(self, norm: bool, final: nn.Sequential) -> None:
         super().__init__()
-        self.feats = ResNet18(norm=True)
+        self.feats = ResNet18(norm)
         self.psp = BottleneckPyramid()
-        self.up_1 = NormUpBlock(1024, 256)
-        self.up_2, self.up_3 = NormUpBlock(256, 64), NormUpBlock(64, 64)
-        self.final = nn.Sequential(nn.Conv2d(64, 128, 1), nn.BatchNorm2d(128), nn.PReLU())
+        self.up_1 = BilinearUpBlock(1024, 256, norm)
+        self.up_2, self.up_3 = BilinearUpBlock(256, 64, norm), BilinearUpBlock(64, 64, norm)
+        self.final = final
 
     def forward(self, x: Tensor) -> Tensor:
         """See the class."""

@@ -1,7 +1,7 @@
 """Inputs made from a seed, and the checks against recorded outputs that the tests share.
 
-``python tests/ports/cases.py record`` records: only ever from code that agrees with the original
-networks (test_port_networks.py, with the shared data). ``python tests/ports/cases.py weights DIR``
+``python tests/ports/cases.py record [NAME ...]`` records: only ever from code that agrees with the
+original networks (the tests with the shared data). ``python tests/ports/cases.py weights DIR``
 writes a folder for ``--cpas-weights``; with it, golden/ beside this file is the golden table of
 
     pytest --cpas-method sgpa --cpas-dataset synthetic-tabletop --cpas-weights=DIR \\
@@ -20,24 +20,28 @@ import numpy as np
 import recipe
 import torch
 
+from method_adapters._assets import MEAN_SHAPES
+from method_adapters._network_method import NetworkMethod
+from method_adapters._networks.cass import CassNet
 from method_adapters._networks.crnet import CrNet
 from method_adapters._networks.dpdn import DpdnNet
 from method_adapters._networks.running import Runner
 from method_adapters._networks.sgpa import SgpaNet
 from method_adapters._networks.spd import SpdNet
-from method_adapters._prior_method import PriorMethod
+from method_adapters.cass import Cass
 from method_adapters.crnet import CrNet as CrNetMethod
 from method_adapters.dpdn import Dpdn
 from method_adapters.sgpa import Sgpa
 from method_adapters.spd import Spd
 from pytest_cpas.types import Camera, Observation
 
-NETWORKS = {"spd": SpdNet, "crnet": CrNet, "sgpa": SgpaNet, "dpdn": DpdnNet}
-METHODS: dict[str, type[PriorMethod]] = {
+NETWORKS = {"spd": SpdNet, "crnet": CrNet, "sgpa": SgpaNet, "dpdn": DpdnNet, "cass": CassNet}
+METHODS: dict[str, type[NetworkMethod]] = {
     "spd": Spd,
     "crnet": CrNetMethod,
     "sgpa": Sgpa,
     "dpdn": Dpdn,
+    "cass": Cass,
 }
 #: Relative L2 difference that the order of float32 sums explains.
 TOLERANCE = 1e-5
@@ -72,7 +76,7 @@ def priors() -> np.ndarray:
     return points
 
 
-def network_inputs() -> list[torch.Tensor]:
+def network_inputs(name: str) -> list[torch.Tensor]:
     """Two samples with images of 48 x 48: a camera of 10 cm, a mug of 5 cm with repeated points."""
     random = np.random.RandomState(7)
     extents = np.array([[0.12, 0.2, 0.1], [0.05, 0.09, 0.05]])
@@ -81,6 +85,8 @@ def network_inputs() -> list[torch.Tensor]:
     image = random.standard_normal((2, 3, 48, 48))
     choose = random.randint(0, 48 * 48, (2, 1024))
     arrays = [points, image, choose, np.array([2, 5]), priors()[[2, 5]]]
+    if name == "cass":
+        arrays = [points[:, :500], image, choose[:, :500], np.array([2, 5])]
     return [torch.from_numpy(x if x.dtype.kind == "i" else x.astype(np.float32)) for x in arrays]
 
 
@@ -95,7 +101,7 @@ def thinned(x: np.ndarray) -> np.ndarray:
 
 def check_network(name: str) -> None:
     """The network's outputs are those recorded."""
-    compare(name, "network", outputs_of(network(name), network_inputs()))
+    compare(name, "network", outputs_of(network(name), network_inputs(name)))
 
 
 def observation(category: str, centre: tuple[float, float], radius: float) -> Observation:
@@ -118,7 +124,7 @@ def observations() -> list[Observation]:
 def write_assets(folder: Path, names: Iterable[str] = METHODS) -> Path:
     """A folder for --cpas-weights with the recipe's weights and made-up priors."""
     folder.mkdir(parents=True, exist_ok=True)
-    np.save(folder / "mean_points_emb.npy", priors())
+    np.save(folder / MEAN_SHAPES.path, priors())
     for name in names:
         path = folder / METHODS[name].info.assets[0].path
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -126,21 +132,31 @@ def write_assets(folder: Path, names: Iterable[str] = METHODS) -> Path:
     return folder
 
 
-def network_sees(method: PriorMethod) -> list[np.ndarray]:
-    """What a method with priors makes of the observations."""
+def network_sees(method: NetworkMethod) -> list[tuple[np.ndarray, ...]]:
+    """What a method makes of each of the observations."""
     generator = np.random.default_rng
-    inputs = [method.prepare(seen, generator(seed)) for seed, seen in enumerate(observations())]
-    return [np.stack(part) for part in zip(*inputs, strict=True)]
+    return [method.prepare(seen, generator(seed)) for seed, seen in enumerate(observations())]
 
 
-def unloaded(name: str) -> PriorMethod:
-    """A method with priors, but without a network."""
+def together(parts: list[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+    """The parts of several samples, which may differ in shape, one after the other."""
+    return [np.concatenate([np.ravel(x) for x in part]) for part in zip(*parts, strict=True)]
+
+
+def raw_outputs(method: NetworkMethod) -> list[np.ndarray]:
+    """What a loaded method's network says to each of the observations."""
+    return together([method._run(*(x[None] for x in seen)) for seen in network_sees(method)])
+
+
+def unloaded(name: str) -> NetworkMethod:
+    """A method with priors if it has any, but without a network."""
     method = METHODS[name]()
-    method._priors = priors().astype(np.float32)
+    if MEAN_SHAPES in method.info.assets:
+        method._priors = priors().astype(np.float32)
     return method
 
 
-def loaded(name: str) -> PriorMethod:
+def loaded(name: str) -> NetworkMethod:
     """As :meth:`load` leaves it, without files: checkpoints are large."""
     method = unloaded(name)
     method._run = Runner(network(name), "cpu")
@@ -149,12 +165,12 @@ def loaded(name: str) -> PriorMethod:
 
 def check_inputs(name: str) -> None:
     """What the network sees is what was recorded."""
-    compare(name, "input", network_sees(unloaded(name)))
+    compare(name, "input", together(network_sees(unloaded(name))))
 
 
-def check_raw_outputs(method: PriorMethod) -> None:
+def check_raw_outputs(method: NetworkMethod) -> None:
     """A loaded method's raw outputs are those recorded."""
-    compare(method.info.name, "raw", list(method._run(*network_sees(method))))
+    compare(method.info.name, "raw", raw_outputs(method))
 
 
 def compare(name: str, what: str, arrays: list[np.ndarray]) -> None:
@@ -167,15 +183,14 @@ def compare(name: str, what: str, arrays: list[np.ndarray]) -> None:
         assert difference <= limit, f"{name}, {what} {i}: {difference:.2e}"
 
 
-def record() -> None:
+def record(names: Iterable[str]) -> None:
     GOLDEN.mkdir(exist_ok=True)
-    for name in NETWORKS:
+    for name in names:
         method = loaded(name)
-        inputs = network_sees(method)
         groups = {
-            "network": outputs_of(network(name), network_inputs()),
-            "input": inputs,
-            "raw": list(method._run(*inputs)),
+            "network": outputs_of(network(name), network_inputs(name)),
+            "input": together(network_sees(method)),
+            "raw": raw_outputs(method),
         }
         arrays = {f"{k}_{i}": thinned(x) for k, g in groups.items() for i, x in enumerate(g)}
         small = {k: v if v.dtype.kind == "i" else v.astype(np.float32) for k, v in arrays.items()}
@@ -183,8 +198,8 @@ def record() -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["record"]:
-        record()
+    if sys.argv[1:2] == ["record"]:
+        record(sys.argv[2:] or NETWORKS)
     elif sys.argv[1:2] == ["weights"] and len(sys.argv) == 3:
         write_assets(Path(sys.argv[2]))
     else:

@@ -1,6 +1,7 @@
 """Faults that ports have: each must be found by the comparison with recorded outputs."""
 
 import copy
+from dataclasses import replace
 
 import cases
 import numpy as np
@@ -9,7 +10,7 @@ import test_port_preparation
 import torch
 
 from method_adapters import _prior_method
-from method_adapters._crop import Crop, NoAnswerError, crop_of, network_image
+from method_adapters._crop import NoAnswerError, crop_of, network_image
 from method_adapters._networks import attention, crnet, heads, pointnet2, pspnet
 from method_adapters._prior_method import pose_from_assignment
 from method_adapters.dpdn import Dpdn
@@ -109,7 +110,7 @@ def near_points_sampled(patch):
 def crop_off_by_one(patch):
     def fault(mask):
         crop = crop_of(mask)
-        return Crop(crop.row - 1, crop.column, crop.side)
+        return replace(crop, row=crop.row - 1)
 
     patch(_prior_method, "crop_of", fault)
 
@@ -120,7 +121,7 @@ def blue_first(patch):
 
 def pixels_rounded(patch):
     def fault(rows, columns, crop):
-        ratio = 192 / crop.side
+        ratio = 192 / crop.width
         return (np.rint(rows * ratio) * 192 + np.rint(columns * ratio)).astype(np.int64)
 
     patch(_prior_method, "feature_index", fault)

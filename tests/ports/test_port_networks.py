@@ -40,7 +40,7 @@ def with_published_weights(shared_ports, name):
     return network.eval(), data
 
 
-@pytest.mark.parametrize("name", cases.NETWORKS)
+@pytest.mark.parametrize("name", OUTPUTS)
 def test_every_output_and_tap_of_the_original(shared_ports, name):
     network, data = with_published_weights(shared_ports, name)
     seen = {}
@@ -95,7 +95,7 @@ def test_recorded_outputs(name):
 
 @pytest.mark.parametrize("name", cases.NETWORKS)
 def test_batch_equals_its_samples(name):
-    network, inputs = cases.network(name), cases.network_inputs()
+    network, inputs = cases.network(name), cases.network_inputs(name)
     together = cases.outputs_of(network, inputs)
     for i in range(2):
         alone = cases.outputs_of(network, [x[i : i + 1] for x in inputs])

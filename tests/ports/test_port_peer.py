@@ -34,7 +34,7 @@ def peer(monkeypatch):
 def test_networks(peer, name, path):
     published = peer(path).DeformNet(n_cat=6, nv_prior=1024).eval()
     published.load_state_dict(cases.network(name).state_dict(), strict=True)
-    inputs = cases.network_inputs()
+    inputs = cases.network_inputs(name)
     ours = cases.outputs_of(cases.network(name), inputs)
     with torch.inference_mode():
         theirs = published(*inputs)
@@ -51,7 +51,7 @@ def test_crop_rule(peer):
         mask = np.zeros((480, 640), bool)
         mask[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
         crop = crop_of(mask)
-        window = (crop.row, crop.row + crop.side, crop.column, crop.column + crop.side)
+        window = (crop.row, crop.row + crop.height, crop.column, crop.column + crop.width)
         assert window == tuple(get_bbox((*low, *high)))
 
 

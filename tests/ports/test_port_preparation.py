@@ -45,12 +45,12 @@ def box_mask(y1, x1, y2, x2, shape=(480, 640)):
     ],
 )
 def test_crop_rule(box, crop):
-    assert crop_of(box_mask(*box)) == Crop(*crop)
+    assert crop_of(box_mask(*box)) == Crop(*crop, crop[2])
 
 
 def test_crop_stays_in_small_images():
-    assert crop_of(box_mask(0, 0, 90, 120, (95, 130))) == Crop(5, 20, 80)
-    with pytest.raises(NoAnswerError, match="the image is 30 x 95"):
+    assert crop_of(box_mask(0, 0, 90, 120, (95, 130))) == Crop(5, 20, 80, 80)
+    with pytest.raises(NoAnswerError, match="the image is 30 pixels"):
         crop_of(box_mask(0, 0, 90, 20, (95, 30)))
 
 
@@ -75,7 +75,7 @@ def test_resize_as_opencv(side):
 def test_image_is_normalised_channels_first():
     rgb = np.zeros((480, 640, 3), np.float32)
     rgb[:, :, 0], rgb[:, :, 2] = 0.485, 1.0
-    image = network_image(rgb, Crop(0, 0, 40))
+    image = network_image(rgb, Crop(0, 0, 40, 40))
     assert image.shape == (3, 192, 192)
     np.testing.assert_allclose(image[0], 0, atol=1e-6)
     np.testing.assert_allclose(image[1], -0.456 / 0.224, rtol=1e-6)
@@ -88,7 +88,7 @@ def test_points_and_their_pixels():
     mask[250:260, 330:340] = True
     depth[250:260, 330:340] = 2.0
     depth[251] = 0
-    crop = Crop(240, 320, 40)
+    crop = Crop(240, 320, 40, 40)
     rows, columns = depth_pixels(mask, depth, crop)
     assert len(rows) == 90
     assert (rows[0], columns[0], rows[10], columns[10]) == (10, 10, 12, 10)
