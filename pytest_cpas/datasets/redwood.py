@@ -31,7 +31,7 @@ from pytest_cpas.datasets._files import below, read_json
 from pytest_cpas.datasets._images import read_depth, read_rgb
 from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.datasets.rendering import render
+from pytest_cpas.datasets.rendering import hidden, render
 from pytest_cpas.types import (
     Array,
     Camera,
@@ -48,9 +48,6 @@ REDWOOD_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 #: The annotations' object coordinates -> ShapeNet ones: y -> -y, x -> z (and so z -> x).
 _SHAPENET_FROM_ANNOTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-
-#: What was measured so much nearer than the object, metres, hides it.
-_IN_FRONT = 0.01
 
 _CATEGORIES = ("bottle", "bowl", "mug")
 
@@ -199,8 +196,7 @@ def visible(
     ``depth`` (H, W): measured metres, 0 = missing. A pixel without a measurement counts as seen.
     """
     rendered = render([(mesh, pose)], camera).depth
-    hidden = (depth > 0) & (depth < rendered - _IN_FRONT)
-    mask: NDArray[np.bool_] = (rendered > 0) & ~hidden
+    mask: NDArray[np.bool_] = (rendered > 0) & ~hidden(rendered, depth)
     return mask
 
 

@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas.types import Array, Camera, Mesh, Pose
 
-__all__ = ["Rendering", "camera_rays", "render"]
+__all__ = ["Rendering", "camera_rays", "hidden", "render"]
+
+#: What was measured so much nearer than an object, metres, hides it.
+IN_FRONT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,15 @@ def render(objects: Sequence[tuple[Mesh, Pose]], camera: Camera) -> Rendering:
     instances.flat[hit] = instance[triangle]
     triangles.flat[hit] = triangle - first[instance[triangle]]
     return Rendering(depth, instances, triangles, normals)
+
+
+def hidden(rendered: Array, measured: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Where (H, W) something else was measured in front of a rendered object.
+
+    Both in metres, 0 = nothing; a pixel without a measurement hides nothing.
+    """
+    nearer: NDArray[np.bool_] = (measured > 0) & (measured < rendered - IN_FRONT)
+    return nearer
 
 
 def _corners(mesh: Mesh, pose: Pose) -> Array:
