@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from method_adapters._assets import MEAN_SHAPES, load_priors
 from method_adapters._crop import (
+    NoAnswerError,
     back_project,
     crop_of,
     depth_pixels,
@@ -18,7 +19,7 @@ from method_adapters._crop import (
     subset_in_order,
 )
 from method_adapters._network_method import Array, NetworkMethod
-from method_adapters._similarity import robust_umeyama
+from pytest_cpas.similarity import NoSimilarityError, robust_umeyama
 from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, MethodInfo, Observation
 
 #: x of the middle of the mug's mean shape, NOCS units: its handle pulls it off the origin.
@@ -98,7 +99,12 @@ def pose_from_assignment(
     share = np.exp(assign - assign.max(axis=1, keepdims=True))
     coordinates = share @ shape / share.sum(axis=1, keepdims=True)
     _, distinct = np.unique(inputs.choose, return_index=True)
-    found = robust_umeyama(coordinates[distinct], inputs.points[distinct].astype(float), generator)
+    try:
+        found = robust_umeyama(
+            coordinates[distinct], inputs.points[distinct].astype(float), generator
+        )
+    except NoSimilarityError as error:
+        raise NoAnswerError(str(error)) from None
     points = shape * found.scale
     translation = found.translation
     if CATEGORIES[int(inputs.category)] == "mug":

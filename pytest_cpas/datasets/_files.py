@@ -40,16 +40,14 @@ def below(folder: Path, name: object, source: str) -> Path:
     return folder / relative
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON file that holds an object."""
+def parse_json(path: Path, content: bytes) -> dict[str, Any]:
+    """The object that a JSON file holds."""
     try:
-        content = json.loads(regular(path).read_bytes())
+        parsed = json.loads(content)
     except (ValueError, RecursionError) as error:
-        if isinstance(error, ContractError):
-            raise
         raise ContractError(
             f"{path}: not readable JSON ({error}); is it truncated? Fetch it again"
         ) from error
-    if not isinstance(content, dict):
-        raise ContractError(f"{path}: holds a {type(content).__name__}, expected an object")
-    return content
+    if not isinstance(parsed, dict):
+        raise ContractError(f"{path}: holds a {type(parsed).__name__}, expected an object")
+    return parsed

@@ -18,20 +18,21 @@ partial: what is there is listed, what is missing is named once.
 from __future__ import annotations
 
 import functools
-import hashlib
 import re
-from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas._safe_pickle import load_numpy_pickle
-from pytest_cpas.datasets._files import names, natural
-from pytest_cpas.datasets._images import read_depth, read_ids, read_rgb
+from pytest_cpas.datasets._files import natural, regular
+from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._meshes import read_mesh
+from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
 from pytest_cpas.types import (
     CATEGORIES,
@@ -52,6 +53,8 @@ REAL_CAMERA = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
 #: Categories that the paper takes as symmetric about their up axis.
 SYMMETRIC_CATEGORIES = frozenset({"bottle", "bowl", "can"})
 
+_FRAME_FILE = re.compile(r"(\d+)_(?:color|depth|mask|coord|meta)\.")
+
 _DOWNLOAD = """\
 REAL275 is published for non-commercial use, citation required ("Normalized Object Coordinate \
 Space", Wang et al. 2019). Fetch and unpack into one folder:
@@ -69,156 +72,159 @@ def symmetry_of(category: str) -> Symmetry:
     return Symmetry.about([0, 1, 0]) if category in SYMMETRIC_CATEGORIES else Symmetry.none()
 
 
-@dataclass(frozen=True)
-class _Object:
+class Listed(NamedTuple):
     """A line of a frame's meta file, and which of the frame's poses is its."""
 
     mask_id: int
+    category: str
     model: str
     pose_index: int
 
 
-class NocsTree:
+class NocsTree(Tree):
     """The test split below ``root`` as a data set; see the module's docstring for the layout."""
 
+    #: The folder of the frames, the lines of a meta file, and where a model's mesh may be.
+    frames = "real_test"
+    meta = "mask_id class_id model"
+    meshes: tuple[str, ...] = (
+        "fixed_real_test_obj_models/{model}.obj",
+        "obj_models/real_test/{model}.obj",
+    )
+
     def __init__(self, name: str, root: Path, camera: Camera) -> None:
-        """Index the tree. No image is opened."""
-        self.name = name
-        self.root = root
+        """Index the tree."""
+        super().__init__(name, root)
         self.camera = camera
-        self.missing: list[str] = []
-        self.damaged: list[str] = []
-        self._objects: dict[str, _Object] = {}
         self._poses = functools.lru_cache(maxsize=64)(self._read_poses)
-        self._images = functools.lru_cache(maxsize=2)(self._read_images)
         self._mesh = functools.cache(self._read_mesh)
-        self.samples: Sequence[SampleRef] = self._index()
 
     # -- index ------------------------------------------------------------------------------
 
-    def _index(self) -> list[SampleRef]:
-        digest = hashlib.sha256()
-        samples: list[SampleRef] = []
-        absent: dict[str, list[str]] = defaultdict(list)
-        folder = self.root / "real_test"
-        truths = names(self.root / "gts" / "real_test")
-        for scene in sorted(names(folder), key=natural):
-            files = names(folder / scene)
-            frames = sorted({name.split("_")[0] for name in files if "_" in name})
-            for number in frames:
+    def scan(self, scan: Scan) -> None:
+        """List the objects of every frame of which all files are there."""
+        listed: list[tuple[str, list[Listed]]] = []
+        for scene in sorted(scan.names(self.frames), key=natural):
+            matches = map(_FRAME_FILE.match, scan.names(f"{self.frames}/{scene}"))
+            for number in sorted({match[1] for match in matches if match}):
                 frame = f"{scene}/{number}"
-                wanted = {
-                    f"{kind} (real_test/scene_S/NNNN_{kind})": f"{number}_{kind}" in files
-                    for kind in ("color.png", "depth.png", "mask.png", "meta.txt")
-                }
-                truth = self._truth_path(frame)
-                wanted["ground truth (gts/real_test/*.pkl)"] = truth.name in truths
-                lacks = [kind for kind, there in wanted.items() if not there]
+                lacks = [kind for kind, path in self._files(frame).items() if not scan.has(path)]
                 for kind in lacks:
-                    absent[kind].append(frame)
-                if lacks:
-                    continue
-                meta = (folder / scene / f"{number}_meta.txt").read_bytes()
-                digest.update(meta)
-                digest.update(truth.read_bytes())
-                try:
-                    samples.extend(self._read_meta(frame, meta.decode("utf-8", "replace")))
-                except ContractError as error:
-                    self.damaged.append(str(error))
-        for kind, where in sorted(absent.items()):
-            self.missing.append(f"{len(where)} frames without {kind}, first {where[0]}: left out")
-        samples = self._leave_out_unsized(samples)
-        for model in sorted({self._objects[s.id].model for s in samples}):
-            path = self._mesh_path(model)
-            digest.update(model.encode() + (path.read_bytes() if path else b""))
-        self.digest = digest.hexdigest()
-        return samples
+                    scan.lacks(f"frames without {kind}", frame)
+                if not lacks:
+                    listed += self._scan_frame(scan, frame)
+        listed = self._seen(scan, listed)
+        left_out = self._scan_models(scan, Counter(o.model for _, os in listed for o in os))
+        for frame, objects in listed:
+            for item in objects:
+                if item.model not in left_out:
+                    ref = SampleRef(f"{frame}/{item.mask_id}", item.category, frame.split("/")[0])
+                    scan.add(ref, item)
 
-    def _read_meta(self, frame: str, text: str) -> list[SampleRef]:
+    def _files(self, frame: str) -> dict[str, str]:
+        """What makes a frame: paths by kind, described for people."""
+        stem = f"{self.frames}/{frame}"
+        files = {
+            f"{kind} ({self.frames}/scene_S/NNNN_{kind})": f"{stem}_{kind}"
+            for kind in ("color.png", "depth.png", "mask.png", "meta.txt")
+        }
+        return {**files, "ground truth (gts/real_test/*.pkl)": _truth_path(frame)}
+
+    def _scan_frame(self, scan: Scan, frame: str) -> list[tuple[str, list[Listed]]]:
+        text = scan.read(f"{self.frames}/{frame}_meta.txt").decode("utf-8", "replace")
+        scan.read(_truth_path(frame))
+        try:
+            return [(frame, self._read_meta(frame, text))]
+        except ContractError as error:
+            scan.damaged.append(str(error))
+            return []
+
+    def _read_meta(self, frame: str, text: str) -> list[Listed]:
+        # a model's name becomes part of a path
+        form = re.compile(r"(\d+) (\d+)" + r" ((?!\.)[^\s/\\]+)" * (len(self.meta.split()) - 2))
         entries = []
         for line in text.splitlines():
-            match = re.fullmatch(r"\s*(\d+)\s+(\d+)\s+(\S+)\s*", line)
+            match = form.fullmatch(" ".join(line.split()))
             if not match or int(match[2]) > len(CATEGORIES) or int(match[1]) > 254:
                 raise ContractError(
-                    f"{frame}_meta.txt: line {line!r}, expected 'mask_id class_id model' with a"
+                    f"{frame}_meta.txt: line {line!r}, expected {self.meta!r} with a"
                     f" mask id of 0 to 254 and a class id of 0 to {len(CATEGORIES)}"
                 )
             if int(match[2]) > 0:
-                entries.append((int(match[1]), CATEGORIES[int(match[2]) - 1], match[3]))
+                model = "/".join(match.groups()[2:])
+                entries.append((int(match[1]), CATEGORIES[int(match[2]) - 1], model))
         if len({mask_id for mask_id, _, _ in entries}) < len(entries):
             raise ContractError(f"{frame}_meta.txt: a mask id occurs twice")
-        samples = []
-        for index, (mask_id, category, model) in enumerate(sorted(entries)):
-            ref = SampleRef(f"{frame}/{mask_id}", category, frame.split("/")[0], model)
-            self._objects[ref.id] = _Object(mask_id, model, index)
-            samples.append(ref)
-        return samples
+        return [Listed(*entry, index) for index, entry in enumerate(sorted(entries))]
 
-    def _leave_out_unsized(self, samples: list[SampleRef]) -> list[SampleRef]:
-        """Name models without mesh once; without an extents file too, their samples go."""
-        affected: dict[str, int] = defaultdict(int)
-        for sample in samples:
-            affected[self._objects[sample.id].model] += 1
-        original, unsized = [], set()
-        for model, count in sorted(affected.items()):
-            path = self._mesh_path(model)
-            if path is None and self._extents_path(model).is_file():
-                self.missing.append(f"mesh {model}.obj: shape metrics of {count} samples are n/a")
-            elif path is None:
-                self.missing.append(f"mesh {model}.obj and .txt: {count} samples left out")
-                unsized.add(model)
-            elif path.parent.name == "real_test":
+    def _seen(
+        self, scan: Scan, listed: list[tuple[str, list[Listed]]]
+    ) -> list[tuple[str, list[Listed]]]:
+        """Those of the listed objects that are seen in their frame: here all of them."""
+        return listed
+
+    def _scan_models(self, scan: Scan, counts: Mapping[str, int]) -> set[str]:
+        """Name models without mesh once; those without extents file too are to be left out."""
+        original, left_out = [], set()
+        for model, count in sorted(counts.items()):
+            found = [p for p in (form.format(model=model) for form in self.meshes) if scan.has(p)]
+            if found:
+                scan.note(model)
+                scan.read(found[0])
+            elif scan.has(_extents_path(self.frames, model)):
+                scan.missing.append(f"mesh {model}.obj: shape metrics of {count} samples are n/a")
+            else:
+                scan.missing.append(f"mesh {model}.obj and .txt: {count} samples left out")
+                left_out.add(model)
+            if found and found[0] != self.meshes[0].format(model=model):
                 original.append(model)
         if original:
-            self.missing.append(
+            scan.missing.append(
                 f"fixed_real_test_obj_models/ of {', '.join(original)}: using the original meshes,"
                 " whose bottoms are missing, so F-scores differ from the published ones"
             )
-        return [s for s in samples if self._objects[s.id].model not in unsized]
-
-    def _truth_path(self, frame: str) -> Path:
-        name = f"results_real_test_{frame.replace('/', '_')}.pkl"
-        return self.root / "gts" / "real_test" / name
-
-    def _extents_path(self, model: str) -> Path:
-        return self.root / "obj_models" / "real_test" / f"{model}.txt"
-
-    def _mesh_path(self, model: str) -> Path | None:
-        for folder in ("fixed_real_test_obj_models", "obj_models/real_test"):
-            path = self.root / folder / f"{model}.obj"
-            if path.is_file():
-                return path
-        return None
+        return left_out
 
     # -- samples ----------------------------------------------------------------------------
 
     def load(self, ref: SampleRef) -> Sample:
         """Read one sample; :class:`ContractError` names the file that is damaged."""
-        item = self._objects[ref.id]
+        truth = self.truth(ref)
         frame = ref.id.rsplit("/", 1)[0]
-        matrices = self._poses(frame)
+        mask = self._ids(frame) == Listed(*self._details[ref.id]).mask_id
+        rgb = self._read_rgb(self.root / f"{self.frames}/{frame}_color.png", self.camera)
+        observation = Observation(ref.category, rgb, self._depth(frame), mask, self.camera)
+        return Sample(ref, observation, truth)
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about a sample, without its images."""
+        item = Listed(*self._details[ref.id])
+        frame = ref.id.rsplit("/", 1)[0]
+        path = self.root / _truth_path(frame)
+        matrices = self._poses(path)
         if item.pose_index >= len(matrices):
             raise ContractError(
-                f"{self._truth_path(frame)}: {len(matrices)} poses, but the meta file lists"
-                " more objects"
+                f"{path}: {len(matrices)} poses, but the meta file lists more objects"
             )
         scaled = matrices[item.pose_index]
         determinant = float(np.linalg.det(scaled[:3, :3]))
         if not determinant > 0:
             raise ContractError(
-                f"{self._truth_path(frame)}: pose {item.pose_index} has determinant"
-                f" {determinant:g}, expected the cube of a positive scale"
+                f"{path}: pose {item.pose_index} has determinant {determinant:g}, expected the"
+                " cube of a positive scale"
             )
         rotation = scaled[:3, :3] / np.cbrt(determinant)
         pose = Pose(rotation @ NOCS_FROM_SHAPENET, scaled[:3, 3])
-        rgb, depth, ids = self._images(frame)
-        observation = Observation(ref.category, rgb, depth, ids == item.mask_id, self.camera)
         mesh, extents = self._mesh(item.model)
-        truth = GroundTruth(pose, extents, symmetry_of(ref.category), mesh)
-        return Sample(ref, observation, truth)
+        return GroundTruth(pose, extents, symmetry_of(ref.category), mesh)
 
-    def _read_poses(self, frame: str) -> Array:
-        path = self._truth_path(frame)
+    def _ids(self, frame: str) -> NDArray[np.uint8]:
+        return self._read_ids(self.root / f"{self.frames}/{frame}_mask.png", self.camera)
+
+    def _depth(self, frame: str) -> NDArray[np.float32]:
+        return self._read_depth(self.root / f"{self.frames}/{frame}_depth.png", self.camera)
+
+    def _read_poses(self, path: Path) -> Array:
         poses = load_numpy_pickle(path).get("gt_RTs")
         if (
             not isinstance(poses, np.ndarray)
@@ -229,29 +235,21 @@ class NocsTree:
             raise ContractError(f"{path}: gt_RTs is not an array (n, 4, 4) of finite numbers")
         return poses.astype(np.float64)
 
-    def _read_images(
-        self, frame: str
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
-        stem = self.root / "real_test" / frame
-        return (
-            read_rgb(stem.with_name(f"{stem.name}_color.png"), self.camera),
-            read_depth(stem.with_name(f"{stem.name}_depth.png"), self.camera),
-            read_ids(stem.with_name(f"{stem.name}_mask.png"), self.camera),
-        )
-
     def _read_mesh(self, model: str) -> tuple[Mesh | None, Array]:
-        path = self._mesh_path(model)
-        if path is None:
-            try:
-                extents = np.array(self._extents_path(model).read_text().split(), dtype=float)
-                return None, permute_extents(extents, NOCS_FROM_SHAPENET.T)
-            except ValueError as error:
-                raise ContractError(
-                    f"{self._extents_path(model)}: expected three extents in metres ({error})"
-                ) from error
-        mesh = read_mesh(path, NOCS_FROM_SHAPENET.T)
-        low, high = mesh.bounds
-        return mesh, high - low
+        """A model's mesh, if there is one, and its extents, metres."""
+        for form in self.meshes:
+            path = self.root / form.format(model=model)
+            if path.is_file():
+                mesh = read_mesh(path, NOCS_FROM_SHAPENET.T)
+                low, high = mesh.bounds
+                return mesh, high - low
+        path = self.root / _extents_path(self.frames, model)
+        try:
+            text = regular(path).read_text().split()
+        except ValueError as error:
+            raise ContractError(f"{path}: expected three extents in metres ({error})") from error
+        extents = numbers(text, (3,), f"{path}: extents in metres")
+        return None, permute_extents(extents, NOCS_FROM_SHAPENET.T)
 
 
 class Real275(NocsTree):
@@ -259,10 +257,13 @@ class Real275(NocsTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
-        if data_dir is None:
-            raise FileNotFoundError(f"real275 needs a folder (--cpas-data).\n{_DOWNLOAD}")
-        for root in (data_dir, data_dir / "real275"):
-            if (root / "real_test").is_dir():
-                super().__init__("real275", root, REAL_CAMERA)
-                return
-        raise FileNotFoundError(f"no real_test folder in {data_dir}.\n{_DOWNLOAD}")
+        root = find_root("real275", data_dir, self.frames, _DOWNLOAD)
+        super().__init__("real275", root, REAL_CAMERA)
+
+
+def _truth_path(frame: str) -> str:
+    return f"gts/real_test/results_real_test_{frame.replace('/', '_')}.pkl"
+
+
+def _extents_path(split: str, model: str) -> str:
+    return f"obj_models/{split}/{model}.txt"

@@ -18,22 +18,20 @@ the pixels where something was measured more than 1 cm nearer: a hand in front.
 from __future__ import annotations
 
 import functools
-import hashlib
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from pytest_cpas.datasets._files import below, read_json
-from pytest_cpas.datasets._images import read_depth, read_rgb
+from pytest_cpas.datasets._files import below
+from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._meshes import read_mesh
+from pytest_cpas.datasets._numbers import numbers, quaternion_rotation
+from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.datasets.rendering import hidden, render
 from pytest_cpas.types import (
-    Array,
     Camera,
     ContractError,
     GroundTruth,
@@ -61,14 +59,12 @@ https://github.com/roym899/sdfest
 and pass that folder, or its parent if it is called redwood75, with --cpas-data DIR or CPAS_DATA."""
 
 
-class Redwood75:
+class Redwood75(Tree):
     """REDWOOD75: 3 categories x 5 sequences x 5 frames.
 
     All annotated samples are listed; those in ``absent`` have no frame here, so that their truth
     can be had but not their images.
     """
-
-    name = "redwood75"
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the annotations in ``data_dir`` or ``data_dir/redwood75``.
@@ -76,45 +72,36 @@ class Redwood75:
         Raises :class:`FileNotFoundError` that says what to fetch, :class:`ContractError` if the
         annotations cannot be read.
         """
-        folders = [] if data_dir is None else [data_dir, data_dir / "redwood75"]
-        found = [folder for folder in folders if (folder / "annotations.json").is_file()]
-        if not found:
-            lack = f"no annotations.json in {data_dir}" if data_dir else "redwood75 needs a folder"
-            raise FileNotFoundError(f"{lack}.\n{_DOWNLOAD}")
-        self.root = found[0]
-        self.missing: list[str] = []
-        self.damaged: list[str] = []
-        self._poses: dict[str, tuple[str, dict[str, Any]]] = {}
+        super().__init__(
+            "redwood75", find_root("redwood75", data_dir, "annotations.json", _DOWNLOAD)
+        )
         self._mesh = functools.cache(self._read_mesh)
-        self._annotations = read_json(self.root / "annotations.json")
-        self.samples: Sequence[SampleRef] = self._list()
-        self.absent = frozenset(ref.id for ref in self.samples if not self._has_frame(ref))
-        if self.absent:
-            self.missing.append(
-                f"the frames of {len(self.absent)} of {len(self.samples)} samples, first"
-                f" {min(self.absent)}: left out.\n{_DOWNLOAD}"
-            )
 
-    @functools.cached_property
-    def digest(self) -> str:
-        """Of the annotations and meshes."""
-        digest = hashlib.sha256((self.root / "annotations.json").read_bytes())
-        for sequence in sorted({ref.scene for ref in self.samples}):
-            path = self._mesh_path(sequence)
-            digest.update(path.read_bytes() if path.is_file() else b"")
-        return digest.hexdigest()
-
-    def _list(self) -> list[SampleRef]:
-        samples = []
-        for sequence, annotation in sorted(self._annotations.items()):
+    def scan(self, scan: Scan) -> None:
+        """List the annotated poses, and which of them have no frame."""
+        for sequence, annotation in sorted(scan.read_json("annotations.json").items()):
             where = f"{self.root / 'annotations.json'}: sequence {sequence}"
             try:
-                samples += self._read_sequence(sequence, annotation, where)
+                samples = self._read_sequence(sequence, annotation, where)
             except ContractError as error:
-                self.damaged.append(str(error))
-        return samples
+                scan.damaged.append(str(error))
+                continue
+            if scan.has(annotation["mesh"]):
+                scan.read(annotation["mesh"])
+            for ref, pose in samples:
+                detail = {"mesh": annotation["mesh"], "scale": annotation["scale"], **pose}
+                scan.add(ref, detail)
+                if not all(scan.has(path) for path in _frame(ref, pose)):
+                    scan.absent.append(ref.id)
+        if scan.absent:
+            scan.missing.append(
+                f"the frames of {len(scan.absent)} samples, first {scan.absent[0]}: left out."
+                f"\n{_DOWNLOAD}"
+            )
 
-    def _read_sequence(self, sequence: str, annotation: Any, where: str) -> list[SampleRef]:
+    def _read_sequence(
+        self, sequence: str, annotation: Any, where: str
+    ) -> list[tuple[SampleRef, dict[str, Any]]]:
         below(self.root, sequence, where)
         wanted = ("category", "mesh", "scale", "pose_anns")
         if not isinstance(annotation, dict) or not set(wanted) <= set(annotation):
@@ -135,57 +122,41 @@ class Redwood75:
             for key in ("rgb_file", "depth_file"):
                 below(self.root, pose[key], f"{where}, pose {index}")
             ref = SampleRef(f"{sequence}/{index}", category, sequence)
-            self._poses[ref.id] = (f"{where}, pose {index}", pose)
-            samples.append(ref)
+            samples.append((ref, pose))
         return samples
-
-    def _frame(self, ref: SampleRef) -> tuple[Path, Path]:
-        folder = self.root / ref.category / "rgbd" / ref.scene
-        _, pose = self._poses[ref.id]
-        return folder / "rgb" / pose["rgb_file"], folder / "depth" / pose["depth_file"]
-
-    def _has_frame(self, ref: SampleRef) -> bool:
-        return all(path.exists() for path in self._frame(ref))
-
-    def _mesh_path(self, sequence: str) -> Path:
-        return self.root / cast(str, self._annotations[sequence]["mesh"])
 
     def load(self, ref: SampleRef) -> Sample:
         """Read one sample; :class:`ContractError` names the file that is damaged or missing."""
+        rgb_path, depth_path = (self.root / path for path in _frame(ref, self._details[ref.id]))
         if ref.id in self.absent:
-            raise ContractError(
-                f"{' or '.join(map(str, self._frame(ref)))}: no such file. {_DOWNLOAD}"
-            )
-        rgb_path, depth_path = self._frame(ref)
-        truth, mesh = self._truth(ref)
-        depth = read_depth(depth_path, REDWOOD_CAMERA)
-        mask = visible(mesh, truth.pose, depth, REDWOOD_CAMERA)
+            raise ContractError(f"{rgb_path} or {depth_path}: no such file. {_DOWNLOAD}")
+        truth = self.truth(ref)
+        depth = self._read_depth(depth_path, REDWOOD_CAMERA)
+        mask = visible(self._mesh(self._details[ref.id]["mesh"]), truth.pose, depth, REDWOOD_CAMERA)
         if not mask.any():
             raise ContractError(f"{depth_path}: the object is hidden or out of the image")
-        rgb = read_rgb(rgb_path, REDWOOD_CAMERA)
+        rgb = self._read_rgb(rgb_path, REDWOOD_CAMERA)
         return Sample(ref, Observation(ref.category, rgb, depth, mask, REDWOOD_CAMERA), truth)
 
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about a sample, without its images."""
-        return self._truth(ref)[0]
-
-    def _truth(self, ref: SampleRef) -> tuple[GroundTruth, Mesh]:
-        where, annotation = self._poses[ref.id]
-        quaternion = _numbers(annotation["orientation"], 4, f"{where}: orientation")
-        if abs(np.linalg.norm(quaternion) - 1) > 1e-3:
-            raise ContractError(
-                f"{where}: orientation {quaternion.tolist()}, expected a unit quaternion"
-            )
-        rotation = Rotation.from_quat(quaternion).as_matrix()
-        position = _numbers(annotation["position"], 3, f"{where}: position")
-        mesh = self._mesh(ref.scene)
-        half = _numbers(self._annotations[ref.scene]["scale"], 3, f"{where}: scale")
+        where = f"{self.root / 'annotations.json'}: {ref.id}"
+        detail = self._details[ref.id]
+        half = numbers(detail["scale"], (3,), f"{where}: scale")
         extents = 2 * np.abs(_SHAPENET_FROM_ANNOTATION) @ half
+        rotation = quaternion_rotation(detail["orientation"], f"{where}: orientation")
+        position = numbers(detail["position"], (3,), f"{where}: position")
         pose = Pose(rotation @ _SHAPENET_FROM_ANNOTATION.T, position)
-        return GroundTruth(pose, extents, symmetry_of(ref.category), mesh), mesh
+        return GroundTruth(pose, extents, symmetry_of(ref.category), self._mesh(detail["mesh"]))
 
-    def _read_mesh(self, sequence: str) -> Mesh:
-        return read_mesh(self._mesh_path(sequence), _SHAPENET_FROM_ANNOTATION)
+    def _read_mesh(self, name: str) -> Mesh:
+        return read_mesh(self.root / name, _SHAPENET_FROM_ANNOTATION)
+
+
+def _frame(ref: SampleRef, pose: dict[str, Any]) -> tuple[str, str]:
+    """Where a pose's colour and depth image are, below the root."""
+    folder = f"{ref.category}/rgbd/{ref.scene}"
+    return f"{folder}/rgb/{pose['rgb_file']}", f"{folder}/depth/{pose['depth_file']}"
 
 
 def visible(
@@ -198,13 +169,3 @@ def visible(
     rendered = render([(mesh, pose)], camera).depth
     mask: NDArray[np.bool_] = (rendered > 0) & ~hidden(rendered, depth)
     return mask
-
-
-def _numbers(value: object, count: int, what: str) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ContractError(f"{what}: {value}, expected {count} finite numbers")
-    return array

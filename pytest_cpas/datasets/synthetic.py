@@ -40,7 +40,6 @@ on the vector instructions of numpy and BLAS; the ray caster's only choose betwe
 from __future__ import annotations
 
 import hashlib
-import os
 import pickle
 import shutil
 import tempfile
@@ -49,11 +48,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
+from pytest_cpas._cache import cache_folder
 from pytest_cpas.datasets import _scenes, rendering, shapes
 from pytest_cpas.datasets._scenes import SCENERY, HandheldScene, Item, TabletopScene
 from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree
@@ -122,8 +121,7 @@ class SyntheticHandheld(_Synthetic):
 
 def _cached(split: Split) -> Path:
     """The folder of a split below ``CPAS_CACHE`` or the user's cache, made if it is not there."""
-    cache = os.environ.get("CPAS_CACHE")
-    folder = Path(cache) if cache else platformdirs.user_cache_path("pytest-cpas")
+    folder = cache_folder()
     root = folder / f"{split.name}-{_recipe()}"
     if root.is_dir():
         return root

@@ -99,7 +99,7 @@ def test_without_frames_the_error_says_what_to_fetch(published: Path) -> None:
     data = Redwood75(published)
     assert len(data.absent) == 75
     (line,) = data.missing
-    assert line.startswith("the frames of 75 of 75 samples")
+    assert line.startswith("the frames of 75 samples")
     with pytest.raises(ContractError) as caught:
         data.load(data.samples[0])
     for text in (line, str(caught.value)):

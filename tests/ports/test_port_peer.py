@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from method_adapters._crop import crop_of
-from method_adapters._similarity import robust_umeyama, umeyama
+from pytest_cpas.similarity import robust_umeyama, umeyama
 
 pytest.importorskip("cpas_toolbox", reason="pip install --no-deps cpas_toolbox==1.0.0")
 

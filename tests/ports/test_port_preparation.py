@@ -19,8 +19,8 @@ from method_adapters._crop import (
 )
 from method_adapters._depth_filling import fill_depth
 from method_adapters._prior_method import MUG_OFFSET, Inputs, pose_from_assignment
-from method_adapters._similarity import robust_umeyama, umeyama
 from method_adapters.dpdn import Dpdn
+from pytest_cpas.similarity import NoSimilarityError, robust_umeyama, umeyama
 from pytest_cpas.types import Camera
 
 
@@ -188,7 +188,7 @@ def test_no_similarity_is_said(source):
         "nan": np.full((400, 3), np.nan),
     }
     target = random.standard_normal((400, 3)) ** 9
-    with pytest.raises(NoAnswerError, match=r"correspondences"):
+    with pytest.raises(NoSimilarityError, match=r"correspondences"):
         robust_umeyama(clouds[source], target, random)
 
 

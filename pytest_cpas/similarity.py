@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._crop import NoAnswerError
-
 Array = NDArray[np.float64]
 
 ITERATIONS = 128
@@ -17,6 +15,10 @@ CONFIDENCE = 0.99
 LEAST_INLIERS = 0.1
 #: Points whose variance is smaller, relative to their squared length, are one point.
 SAME = 1e-12
+
+
+class NoSimilarityError(ValueError):
+    """No similarity transform fits the correspondences."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,10 @@ def robust_umeyama(source: Array, target: Array, generator: np.random.Generator)
     """The same from (N, 3) to (N, 3) with RANSAC, as the NOCS code and those after it do it.
 
     A point is an inlier if it ends within a tenth of the source's diameter, scaled. Raises
-    :class:`NoAnswerError` if no hypothesis has a tenth of the points for inliers.
+    :class:`NoSimilarityError` if no hypothesis has a tenth of the points for inliers.
     """
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
-        raise NoAnswerError("the correspondences are not finite: a network output is NaN")
+        raise NoSimilarityError("the correspondences are not finite")
     diameter = 2 * np.linalg.norm(source - source.mean(axis=0), axis=1).max()
     drawn = generator.integers(len(source), size=(ITERATIONS, DRAWN))
     hypotheses = umeyama(source[drawn], target[drawn])
@@ -75,11 +77,11 @@ def robust_umeyama(source: Array, target: Array, generator: np.random.Generator)
     tried = int(np.argmax(enough)) + 1 if enough.any() else ITERATIONS
     best = int(np.argmax(ratio[:tried]))
     if ratio[best] < LEAST_INLIERS:
-        raise NoAnswerError(
+        raise NoSimilarityError(
             f"no pose fits the correspondences: {100 * ratio[best]:.1f} % of {len(source)} agree"
             f" with the best of {tried}, expected {100 * LEAST_INLIERS:.0f} %"
         )
     fitted = umeyama(source[inliers[best]], target[inliers[best]])
     if not fitted.scale > 0:
-        raise NoAnswerError(f"no pose fits the correspondences: their scale is {fitted.scale}")
+        raise NoSimilarityError(f"no pose fits the correspondences: their scale is {fitted.scale}")
     return fitted

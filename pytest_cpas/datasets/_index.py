@@ -1,0 +1,178 @@
+"""The index of a tree: made once, kept in the user's cache, made again when the tree has changed.
+
+A scan of a tree notes every folder that it lists, and every file that it reads or whose size or
+presence decides something, with times and size. An index is used only while all of these are the
+same. A folder's times change when an entry is added, removed or renamed, and a file's ctime
+whenever it is written, so that what is not caught is an image overwritten in place, which is read
+anew for every sample anyway.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pytest_cpas._cache import cache_folder
+from pytest_cpas.datasets._files import names, parse_json, regular
+from pytest_cpas.types import SampleRef
+
+#: Seconds. A tree changed so recently may change again without its times telling.
+SETTLED = 2.0
+
+#: Per path: times and size, or None where there is nothing.
+Stamps = dict[str, list[int] | None]
+
+
+class Index(NamedTuple):
+    """What a scan found. ``details``: per sample, in order, what its loader needs, as JSON."""
+
+    samples: list[SampleRef]
+    details: list[Any]
+    missing: list[str]
+    damaged: list[str]
+    absent: list[str]
+    digest: str
+
+
+class Scan:
+    """Looks at a tree, remembers at what, and collects what is found.
+
+    Paths are relative to the tree's root, with ``/``.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.missing: list[str] = []
+        self.damaged: list[str] = []
+        self.absent: list[str] = []
+        self.stamps: Stamps = {}
+        self._samples: list[SampleRef] = []
+        self._details: list[Any] = []
+        self._lacking: dict[str, list[str]] = defaultdict(list)
+        self._names: dict[str, set[str]] = {}
+        self._digest = hashlib.sha256()
+
+    def names(self, folder: str) -> set[str]:
+        """What a folder holds; nothing if there is no such folder."""
+        if folder not in self._names:
+            self._see(folder)
+            self._names[folder] = names(self.root / folder)
+        return self._names[folder]
+
+    def has(self, path: str) -> bool:
+        """Whether a folder lists this entry."""
+        folder, _, name = path.rpartition("/")
+        return name in self.names(folder)
+
+    def read(self, path: str) -> bytes:
+        """A file's bytes, which become part of the digest."""
+        self._see(path)
+        content = regular(self.root / path).read_bytes()
+        self._digest.update(content)
+        return content
+
+    def read_json(self, path: str) -> dict[str, Any]:
+        """A JSON file that holds an object."""
+        return parse_json(self.root / path, self.read(path))
+
+    def weigh(self, path: str) -> None:
+        """Add a file's path and size, which are had without reading it, to the digest."""
+        stamp = self._see(path)
+        self._digest.update(f"{path} {stamp and stamp[-1]}\n".encode())
+
+    def note(self, text: str) -> None:
+        """Add ``text`` to the digest."""
+        self._digest.update(text.encode())
+
+    def add(self, ref: SampleRef, detail: Any) -> None:
+        """A sample, and what its loader needs, as JSON values."""
+        self._samples.append(ref)
+        self._details.append(detail)
+
+    def lacks(self, kind: str, where: str) -> None:
+        """Something of ``kind`` is not there for ``where``; each kind is told once."""
+        self._lacking[kind].append(where)
+
+    def index(self) -> Index:
+        """What was found."""
+        lacking = [
+            f"{len(where)} {kind}, first {where[0]}: left out"
+            for kind, where in sorted(self._lacking.items())
+        ]
+        return Index(
+            self._samples,
+            self._details,
+            lacking + self.missing,
+            self.damaged,
+            self.absent,
+            self._digest.hexdigest(),
+        )
+
+    def _see(self, path: str) -> list[int] | None:
+        self.stamps[path] = _stamp(self.root, path)
+        return self.stamps[path]
+
+
+def read_index(
+    name: str, root: Path, scan: Callable[[Scan], None], sources: Iterable[str]
+) -> Index:
+    """The index of the tree at ``root``, from the cache if nothing has changed since.
+
+    ``sources``: the files whose code decides what ``scan`` finds. A cache that cannot be written
+    is done without.
+    """
+    recipe = hashlib.sha256(f"{name}\n{root.resolve()}\n".encode())
+    for source in sorted({__file__, *sources}):
+        recipe.update(Path(source).read_bytes())
+    key = recipe.hexdigest()[:24]
+    file = cache_folder() / "index" / f"{name}-{key}.json"
+    kept = _read_kept(file, root)
+    if kept is not None:
+        return kept
+    began = time.time()
+    seen = Scan(root)
+    scan(seen)
+    index = seen.index()
+    latest = max((max(stamp[:2]) for stamp in seen.stamps.values() if stamp), default=0)
+    if latest / 1e9 < began - SETTLED:
+        with suppress(OSError):
+            _keep(file, index, seen.stamps)
+    return index
+
+
+def _stamp(root: Path, path: str) -> list[int] | None:
+    try:
+        status = os.stat(root / path)
+    except OSError:
+        return None
+    return [status.st_mtime_ns, status.st_ctime_ns, status.st_size]
+
+
+def _read_kept(file: Path, root: Path) -> Index | None:
+    try:
+        kept = json.loads(file.read_bytes())
+        stamps: Stamps = kept.pop("stamps")
+        samples = [SampleRef(*values) for values in kept.pop("samples")]
+        index = Index(samples=samples, **kept)
+    except (OSError, ValueError, TypeError, AttributeError, KeyError):
+        return None  # never kept, or torn: it is made again
+    if all(_stamp(root, path) == stamp for path, stamp in stamps.items()):
+        return index
+    return None
+
+
+def _keep(file: Path, index: Index, stamps: Stamps) -> None:
+    content = index._asdict()
+    content["samples"] = [[ref.id, ref.category, ref.scene] for ref in index.samples]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as unfinished:
+        json.dump({**content, "stamps": stamps}, unfinished)
+    os.replace(unfinished.name, file)

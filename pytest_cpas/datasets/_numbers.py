@@ -1,0 +1,31 @@
+"""Numbers from annotation files, checked on entry."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_cpas.types import Array, ContractError
+
+
+def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
+    """Finite numbers of this shape, given as (nested) lists or flat."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.size != np.prod(shape) or not np.isfinite(array).all():
+        seen = str(value)
+        seen = seen if len(seen) <= 120 else seen[:117] + "..."
+        raise ContractError(f"{what}: {seen}, expected {np.prod(shape)} finite numbers")
+    return array.reshape(shape)
+
+
+def quaternion_rotation(value: Any, what: str) -> Array:
+    """The rotation matrix of a unit quaternion, scalar last."""
+    quaternion = numbers(value, (4,), what)
+    if abs(np.linalg.norm(quaternion) - 1) > 1e-3:
+        raise ContractError(f"{what}: {quaternion.tolist()}, expected a unit quaternion")
+    return Rotation.from_quat(quaternion).as_matrix()

@@ -1,0 +1,65 @@
+"""What all data sets on disk share."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pytest_cpas.datasets._images import read_depth, read_ids, read_rgb
+from pytest_cpas.datasets._index import Scan, read_index
+from pytest_cpas.types import GroundTruth, Sample, SampleRef
+
+
+class Tree(ABC):
+    """A data set below the folder ``root``: listed from its index, read sample by sample.
+
+    ``samples``, ``missing``, ``damaged``, ``absent`` and ``digest`` are those of
+    :class:`pytest_cpas.types.Dataset`. An image is decoded once for the objects of its frame.
+    """
+
+    def __init__(self, name: str, root: Path) -> None:
+        """List the samples."""
+        self.name = name
+        self.root = root
+        sources = [inspect.getfile(kind) for kind in type(self).__mro__ if issubclass(kind, Tree)]
+        index = read_index(name, root, self.scan, sources)
+        self.samples: Sequence[SampleRef] = index.samples
+        self.missing: Sequence[str] = index.missing
+        self.damaged: Sequence[str] = index.damaged
+        self.absent = frozenset(index.absent)
+        self.digest = index.digest
+        self._details: dict[str, Any] = {
+            ref.id: detail for ref, detail in zip(index.samples, index.details, strict=True)
+        }
+        self._read_rgb = functools.lru_cache(maxsize=2)(read_rgb)
+        self._read_depth = functools.lru_cache(maxsize=2)(read_depth)
+        self._read_ids = functools.lru_cache(maxsize=2)(read_ids)
+
+    @abstractmethod
+    def scan(self, scan: Scan) -> None:
+        """List the samples of the tree to ``scan``."""
+
+    @abstractmethod
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about a sample; :class:`ContractError` names what is damaged."""
+
+    @abstractmethod
+    def load(self, ref: SampleRef) -> Sample:
+        """Read one sample; :class:`ContractError` names the file that is damaged."""
+
+
+def find_root(name: str, data_dir: Path | None, mark: str, download: str) -> Path:
+    """``data_dir``, or the folder ``name`` in it: the one that holds ``mark``.
+
+    Raises :class:`FileNotFoundError` that says what to fetch: ``download``.
+    """
+    if data_dir is None:
+        raise FileNotFoundError(f"{name} needs a folder (--cpas-data).\n{download}")
+    for root in (data_dir, data_dir / name):
+        if (root / mark).exists():
+            return root
+    raise FileNotFoundError(f"no {mark} in {data_dir}.\n{download}")
