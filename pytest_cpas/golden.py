@@ -3,7 +3,8 @@
 ``recorded/METHOD/DATASET/table.toml`` holds one cell per line, exact counts, and where they come
 from; ``samples.csv`` beside it one line per sample: which thresholds it met (see
 :func:`pytest_cpas.evaluation.outcomes`) and its errors, rounded, for people. The outcomes decide;
-the counts are checked against them on reading.
+the counts are checked against them on reading. What a table says about a run is in
+:mod:`pytest_cpas.comparison`.
 """
 
 from __future__ import annotations
@@ -17,20 +18,23 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import filelock
+
+from pytest_cpas._cache import cache_folder
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, outcomes, precision_table
 from pytest_cpas.metrics.precision import Count
 
-FORMAT = 1
+FORMAT = 2
 
 _COLUMNS = (
     "sample",
     "category",
     "outcome",
+    "repeats",
     "translation_error_m",
     "rotation_error_deg",
     "iou",
@@ -38,58 +42,27 @@ _COLUMNS = (
     "failure",
 )
 
-#: Samples that a message names before it only counts the rest.
-_NAMED = 8
+_OUTCOME = re.compile(f"[01-]{{{len(THRESHOLDS)}}}")
+
+#: Seconds to wait for another update of the same folder.
+_PATIENCE = 60.0
 
 
 class GoldenError(Exception):
     """A golden table that cannot be read, or not be written."""
 
 
-class Word(Enum):
-    """The verdict on one category of a run."""
-
-    MATCHES = "MATCHES"
-    AGREES = "AGREES WITH THE PAPER"
-    ABOVE = "ABOVE THE PAPER"
-    REGRESSED = "REGRESSED"
-    IMPROVED = "IMPROVED"
-    CHANGED = "CHANGED"
-    STALE = "STALE"
-    DAMAGED = "DAMAGED"
-    NOT_CHECKED = "NOT CHECKED"
-    RECORDED = "RECORDED"
-    NOT_RECORDED = "NOT RECORDED"
-
-
-#: Verdicts that pass without reserve.
-GOOD = (Word.MATCHES, Word.AGREES, Word.ABOVE, Word.RECORDED)
-
-
 @dataclass(frozen=True)
-class Verdict:
-    """The comparison of one category with its golden cells; ``details`` is for people."""
+class TableSample:
+    """A line of ``samples.csv``.
 
-    word: Word
-    category: str
-    details: str
-
-    @property
-    def failed(self) -> bool:
-        """Whether it fails the run. (NOT CHECKED fails it under --cpas-require-golden only.)"""
-        return self.word not in (*GOOD, Word.NOT_CHECKED)
-
-    def __str__(self) -> str:
-        subject = "" if self.category == "all" else f" {self.category}"
-        return f"{self.word.value}{subject}: {self.details}"
-
-
-@dataclass(frozen=True)
-class GoldenSample:
-    """A line of ``samples.csv``: ``outcome`` as of :func:`outcomes`, errors as printed."""
+    ``outcome`` as of :func:`outcomes`; ``repeats`` the outcomes under the further seeds of
+    ``--cpas-jitter``, empty if all are like the first; ``errors`` as printed.
+    """
 
     category: str
     outcome: str
+    repeats: tuple[str, ...]
     errors: tuple[str, ...]
 
     def describe(self) -> str:
@@ -102,78 +75,95 @@ class GoldenSample:
 
 
 @dataclass(frozen=True)
-class GoldenTable:
-    """A recorded run: ``identity`` must agree with a run's to compare, ``provenance`` need not."""
+class RunTable:
+    """What a run gave, sample by sample; recorded, it is a golden table.
+
+    ``identity`` must agree for two tables to be comparable, ``provenance`` need not. ``listed``
+    counts per category the samples that there are, judged or not; ``seeds`` how often each
+    sample was judged.
+    """
 
     method: str
     dataset: str
     identity: Mapping[str, str]
     provenance: Mapping[str, str]
-    samples: Mapping[str, GoldenSample]
+    samples: Mapping[str, TableSample]
+    listed: Mapping[str, int]
+    seeds: int = 1
 
     @classmethod
-    def of(cls, run: Run, rows: Sequence[Row], previous: GoldenTable | None = None) -> GoldenTable:
-        """The table of a run's rows; other categories of the ``previous`` table are kept.
+    def of(cls, run: Run, rows: Sequence[Row] | None = None) -> RunTable:
+        """The table of a run's rows; without them, every sample is judged first."""
+        if rows is None:
+            rows = [run.judge(ref) for ref in run.samples]
+        return cls(
+            run.method,
+            run.dataset,
+            run.identity,
+            run.provenance,
+            _table_samples(rows),
+            run.listed,
+            run.seeds,
+        )
 
-        Raises :class:`GoldenError` unless every category in ``rows`` is complete, or if what is
+    @property
+    def table(self) -> Table:
+        """The counts, of the first seed."""
+        return precision_table((s.category, s.outcome) for s in self.samples.values())
+
+    def recordable(self, previous: RunTable | None) -> RunTable:
+        """This table with the categories of ``previous`` that it does not hold itself.
+
+        Raises :class:`GoldenError` unless every category that it holds is complete, or if what is
         kept was made under other conditions.
         """
-        counts = Counter(row.category for row in rows)
-        partial = [f"{k} {n} of {run.listed[k]}" for k, n in counts.items() if n < run.listed[k]]
-        if partial or not rows:
+        counts = Counter(sample.category for sample in self.samples.values())
+        partial = [f"{k} {n} of {self.listed[k]}" for k, n in counts.items() if n < self.listed[k]]
+        if partial or not counts:
             raise GoldenError(
                 f"not every sample was judged ({', '.join(partial) or 'none was'}); a golden table"
                 " is recorded from complete categories only"
             )
+        if previous is None:
+            return self
+        if previous.seeds > self.seeds:
+            raise GoldenError(
+                f"the golden table allows for the spread of {previous.seeds} seeds, and this run"
+                f" has {self.seeds}: pass --cpas-jitter {previous.seeds}, or remove the table first"
+            )
         kept = {
             name: sample
-            for name, sample in (previous.samples.items() if previous else ())
-            if sample.category not in counts and sample.category in run.listed
+            for name, sample in previous.samples.items()
+            if sample.category not in counts and sample.category in self.listed
         }
-        if previous and kept and _differences(previous.identity, run.identity):
+        if kept and (
+            differences(previous.identity, self.identity) or previous.seeds != self.seeds
+        ):
             raise GoldenError(
                 "the cells of the other categories were made under other conditions; record all"
                 " categories together"
             )
-        samples = kept | _golden_samples(rows)
-        return cls(run.method, run.dataset, run.identity, run.provenance, samples)
+        return replace(self, samples=kept | dict(self.samples))
 
-    @property
-    def table(self) -> Table:
-        """The counts."""
-        return precision_table((s.category, s.outcome) for s in self.samples.values())
+    # -- text -------------------------------------------------------------------------------
 
-    # -- files ------------------------------------------------------------------------------
-
-    def write(self, golden: Path) -> Path:
-        """Write below ``golden`` and return the folder.
-
-        Each file appears whole or not at all. The table names the digest of its samples, so a
-        pair that was torn apart by a crash is refused on reading instead of being compared.
-        """
-        folder = golden / "recorded" / self.method / self.dataset
-        samples = self._samples_csv()
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            _replace(folder / "samples.csv", samples)
-            _replace(folder / "table.toml", self._table_toml(samples))
-        except OSError as error:
-            raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
-        return folder
-
-    def _samples_csv(self) -> str:
+    def samples_csv(self) -> str:
+        """The text of ``samples.csv``."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_COLUMNS)
         for name, sample in sorted(self.samples.items()):
-            writer.writerow((name, sample.category, sample.outcome, *sample.errors))
+            repeats = " ".join(sample.repeats)
+            writer.writerow((name, sample.category, sample.outcome, repeats, *sample.errors))
         return text.getvalue()
 
-    def _table_toml(self, samples: str) -> str:
+    def table_toml(self) -> str:
+        """The text of ``table.toml``; it names the digest of the samples."""
         lines = [
             "# Recorded by pytest-cpas; --snapshot-update records it anew.",
             f"format = {FORMAT}",
-            f"samples_sha256 = {_quoted(hashlib.sha256(samples.encode()).hexdigest())}",
+            f"samples_sha256 = {_quoted(_digest(self.samples_csv()))}",
+            f"seeds = {self.seeds}",
         ]
         for title, values in (("identity", self.identity), ("provenance", self.provenance)):
             lines += ["", f"[{title}]"]
@@ -182,14 +172,24 @@ class GoldenTable:
         return "\n".join(lines) + "\n"
 
 
-def _golden_samples(rows: Sequence[Row]) -> dict[str, GoldenSample]:
+def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
+    """What differs between two identities, or two provenances, in words."""
+    return [
+        f"{key} was {golden.get(key, 'not recorded')}, now {run.get(key, 'not given')}"
+        for key in sorted({*golden, *run})
+        if golden.get(key) != run.get(key)
+    ]
+
+
+def _table_samples(rows: Sequence[Row]) -> dict[str, TableSample]:
     def text(value: float | None) -> str:
         return "" if value is None else f"{value:.6g}"
 
     return {
-        row.sample: GoldenSample(
+        row.sample: TableSample(
             row.category,
             outcome,
+            row.repeats if set(row.repeats) - {outcome} else (),
             (
                 text(row.translation_error),
                 text(row.rotation_error),
@@ -218,16 +218,11 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)  # a JSON string is a TOML basic string
 
 
-def _replace(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+def _digest(samples: str) -> str:
+    return hashlib.sha256(samples.encode()).hexdigest()
+
+
+# -- files --------------------------------------------------------------------------------------
 
 
 def shipped_golden() -> Path:
@@ -237,156 +232,147 @@ def shipped_golden() -> Path:
     return installed if installed.is_dir() else package.parent / "golden"
 
 
-def find_golden(golden: Path, method: str, dataset: str) -> GoldenTable | None:
+def find_golden(golden: Path, method: str, dataset: str) -> RunTable | None:
     """The table below ``golden``, else the one that ships with the plugin, else None.
 
     Raises :class:`GoldenError` for a table that is damaged.
     """
-    return recorded_golden(golden, method, dataset) or recorded_golden(
-        shipped_golden(), method, dataset
-    )
+    for root in (golden, shipped_golden()):
+        folder = _folder(root, method, dataset)
+        if folder.is_dir():
+            return read_golden(folder)
+    return None
 
 
-def recorded_golden(golden: Path, method: str, dataset: str) -> GoldenTable | None:
-    """The table below ``golden``, None if there is none; :class:`GoldenError` if damaged."""
-    folder = golden / "recorded" / method / dataset
-    return read_golden(folder) if folder.is_dir() else None
+def record(golden: Path, table: RunTable) -> Path:
+    """Write a run's table below ``golden``, as the golden one, and return its folder.
+
+    The categories that it lacks are kept as they are. Two updates at once wait for each other,
+    and whoever is killed half-way leaves either the old table or the new one. Raises
+    :class:`GoldenError`, the old table intact, for a table that must not be recorded (see
+    :meth:`RunTable.recordable`), a damaged old one, or a disk that does not take it.
+    """
+    folder = _folder(golden, table.method, table.dataset)
+    try:
+        with _exclusive(folder):
+            previous = read_golden(folder) if folder.is_dir() else None
+            _write(folder, table.recordable(previous))
+    except filelock.Timeout as error:
+        raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
+    return folder
 
 
-def read_golden(folder: Path) -> GoldenTable:
+def orphans(golden: Path, methods: set[str]) -> list[Path]:
+    """The folders of recorded tables below ``golden`` whose method is none of ``methods``."""
+    folders = sorted(path.parent for path in golden.glob("recorded/*/*/table.toml"))
+    return [folder for folder in folders if folder.parent.name not in methods]
+
+
+def _folder(golden: Path, method: str, dataset: str) -> Path:
+    return golden / "recorded" / method / dataset
+
+
+def _exclusive(folder: Path) -> filelock.BaseFileLock:
+    """A lock on a folder. Its file is elsewhere: golden tables are kept under version control."""
+    name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()
+    path = cache_folder() / "locks" / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return filelock.FileLock(path, timeout=_PATIENCE)
+
+
+def _write(folder: Path, table: RunTable) -> None:
+    """Both files are complete on the disk before either is replaced.
+
+    Replacing the table commits: from then on :func:`read_golden` takes the samples that it names
+    from the file that is still waiting, should the writer die before that has got its place.
+    """
+    samples, cells = table.samples_csv(), table.table_toml()
+    waiting, new = _waiting(folder, _digest(samples)), folder / ".table.toml"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            _save(waiting, samples)
+            _save(new, cells)
+            new.replace(folder / "table.toml")
+        except BaseException:
+            waiting.unlink(missing_ok=True)
+            new.unlink(missing_ok=True)
+            raise
+        waiting.replace(folder / "samples.csv")
+        for path in folder.glob(_waiting(folder, "*").name):
+            path.unlink()
+    except OSError as error:
+        raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
+
+
+def _waiting(folder: Path, digest: str) -> Path:
+    return folder / f".samples-{digest}.csv"
+
+
+def _save(path: Path, text: str) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_golden(folder: Path) -> RunTable:
     """Read ``table.toml`` and ``samples.csv`` and check them against each other.
 
     Raises :class:`GoldenError` that names the file.
     """
     try:
-        text = (folder / "samples.csv").read_bytes().decode("utf-8")
-        content: dict[str, Any] = tomllib.loads((folder / "table.toml").read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise _damaged(folder, str(error)) from error
+        try:
+            return _read(folder)
+        except GoldenError:
+            return _read(folder)  # a writer may have come between the two files
+    except (OSError, UnicodeDecodeError, GoldenError) as error:
+        raise GoldenError(
+            f"{folder}: {error}; it was damaged or edited by hand. Restore it from version"
+            " control, or remove it and record it anew with --snapshot-update"
+        ) from error
+
+
+def _read(folder: Path) -> RunTable:
+    toml = (folder / "table.toml").read_bytes().decode("utf-8")
+    named = re.search(r'^samples_sha256 = "(\w+)"$', toml, re.MULTILINE)
+    waiting = _waiting(folder, named[1] if named else "")
+    path = waiting if waiting.exists() else folder / "samples.csv"
+    samples = path.read_bytes().decode("utf-8")
+    return parse_golden(folder.parent.name, folder.name, toml, samples)
+
+
+def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunTable:
+    """A table from the texts of its two files.
+
+    Raises :class:`GoldenError` if they are not, or do not belong together.
+    """
+    try:
+        content: dict[str, Any] = tomllib.loads(toml)
+    except tomllib.TOMLDecodeError as error:
+        raise GoldenError(f"table.toml: {error}") from error
     if content.get("format") != FORMAT:
-        raise _damaged(folder, f"format is {content.get('format')!r}, this version reads {FORMAT}")
+        raise GoldenError(f"format is {content.get('format')!r}, this version reads {FORMAT}")
+    seeds = content.get("seeds")
+    if not isinstance(seeds, int) or seeds < 1:
+        raise GoldenError(f"table.toml: seeds is {seeds!r}, expected at least 1")
     sections = [content.get(name, 0) for name in ("identity", "provenance", "cells")]
     for section in sections:
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
-            raise _damaged(
-                folder, "table.toml: [identity], [provenance], [cells] must hold strings"
-            )
+            raise GoldenError("table.toml: [identity], [provenance], [cells] must hold strings")
     identity, provenance, cells = sections
-    if content.get("samples_sha256") != hashlib.sha256(text.encode()).hexdigest():
-        raise _damaged(folder, "samples.csv is not the file that table.toml was made with")
-    lines = list(csv.reader(io.StringIO(text, newline="")))
+    if content.get("samples_sha256") != _digest(samples_csv):
+        raise GoldenError("samples.csv is not the file that table.toml was made with")
+    lines = list(csv.reader(io.StringIO(samples_csv, newline="")))
     if not lines or tuple(lines[0]) != _COLUMNS or any(len(x) != len(_COLUMNS) for x in lines):
-        raise _damaged(folder, f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
-    samples = {x[0]: GoldenSample(x[1], x[2], tuple(x[3:])) for x in lines[1:]}
-    golden = GoldenTable(
-        folder.parent.name,
-        folder.name,
-        identity,
-        provenance,
-        samples,
-    )
-    stored = [f"{_quoted(k)} = {_quoted(v)}" for k, v in cells.items()]
-    valid = all(re.fullmatch(f"[01-]{{{len(THRESHOLDS)}}}", s.outcome) for s in samples.values())
-    if not valid or stored != _cell_lines(golden.table):
-        raise _damaged(folder, "the cells of table.toml are not the sums of samples.csv")
-    return golden
-
-
-def _damaged(folder: Path, what: str) -> GoldenError:
-    return GoldenError(
-        f"{folder}: {what}; it was damaged or edited by hand. Restore it from version control, or"
-        " record it anew with --snapshot-update"
-    )
-
-
-def compare(golden: GoldenTable | None, rows: Sequence[Row], run: Run) -> list[Verdict]:
-    """Compare rows with a golden table, sample by sample; one verdict per category.
-
-    Pure: nothing is read or written. Every sample whose outcome differs is a difference: a
-    method that is deterministic has none on the platform where its table was recorded.
-    """
-    if golden is None:
-        return [
-            Verdict(
-                Word.NOT_CHECKED,
-                "all",
-                f"there is no golden table of {run.method} on {run.dataset}; if these results are"
-                " right, record them with --snapshot-update",
-            )
-        ]
-    stale = _differences(golden.identity, run.identity)
-    if stale:
-        return [
-            Verdict(
-                Word.STALE,
-                "all",
-                f"the golden table was made under other conditions: {'; '.join(stale)}. Restore"
-                " them, or record it anew with --snapshot-update",
-            )
-        ]
-    new = _golden_samples(rows)
-    categories = sorted({s.category for s in golden.samples.values()} | set(run.listed))
-    elsewhere = _differences(golden.provenance, run.provenance)
-    return [_compare_category(category, golden, new, run, elsewhere) for category in categories]
-
-
-def _differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
-    return [
-        f"{key} was {golden.get(key, 'not recorded')}, now {run.get(key, 'not given')}"
-        for key in sorted({*golden, *run})
-        if golden.get(key) != run.get(key)
-    ]
-
-
-def _compare_category(
-    category: str,
-    golden: GoldenTable,
-    new: Mapping[str, GoldenSample],
-    run: Run,
-    elsewhere: Sequence[str],
-) -> Verdict:
-    old = {k: s for k, s in golden.samples.items() if s.category == category}
-    judged = {k: s for k, s in new.items() if s.category == category}
-    total = max(len(old), run.listed.get(category, 0))
-    both = sorted(old.keys() & judged.keys())
-    extra = sorted(judged.keys() - old.keys())
-    changes: list[tuple[int, list[str]]] = []  # net gain, and what to say
-    only_gains = not extra
-    for index, threshold in enumerate(THRESHOLDS):
-        pairs = [(k, old[k].outcome[index] + judged[k].outcome[index]) for k in both]
-        before = sum(pair[0] == "1" for _, pair in pairs)
-        after = sum(pair[1] == "1" for _, pair in pairs)
-        changed = {
-            "lost": [k for k, pair in pairs if pair == "10"],
-            "gained": [k for k, pair in pairs if pair == "01"],
-            "n/a changed": [k for k, pair in pairs if pair[0] != pair[1] and "-" in pair],
-        }
-        if not any(changed.values()):
-            continue
-        only_gains &= not changed["lost"] and not changed["n/a changed"]
-        told = [f"{threshold.label}: {before} -> {after} of {len(both)} correct"]
-        told += [f"    {what}: {_named(k, old, judged)}" for what, k in changed.items() if k]
-        changes.append((len(changed["gained"]) - len(changed["lost"]), told))
-    changes.sort(key=lambda change: change[0])  # what fell most stands first
-    lines = [line for _, told in changes for line in told]
-    if extra:
-        lines.append(f"{len(extra)} samples are not in the golden table, first {extra[0]}")
-    if lines:
-        fell = bool(changes) and changes[0][0] < 0
-        word = Word.REGRESSED if fell else Word.IMPROVED if only_gains else Word.CHANGED
-        if word is not Word.REGRESSED:
-            lines.append("if this is right, record it with --snapshot-update")
-        lines += [f"note: {difference}" for difference in elsewhere]
-        return Verdict(word, category, "\n  ".join(lines))
-    if len(both) < total:
-        agreement = f"; the {len(both)} judged agree with the golden table" if both else ""
-        return Verdict(Word.NOT_CHECKED, category, f"{len(both)} of {total} judged{agreement}")
-    return Verdict(Word.MATCHES, category, f"all {total} samples agree with the golden table")
-
-
-def _named(
-    names: Sequence[str], old: Mapping[str, GoldenSample], new: Mapping[str, GoldenSample]
-) -> str:
-    told = [f"{name} ({old[name].describe()} -> {new[name].describe()})" for name in names[:_NAMED]]
-    rest = len(names) - len(told)
-    return "; ".join(told) + (f"; and {rest} more" if rest else "")
+        raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
+    samples = {x[0]: TableSample(x[1], x[2], tuple(x[3].split()), tuple(x[4:])) for x in lines[1:]}
+    for sample in samples.values():
+        told = [sample.outcome, *sample.repeats]
+        if len(told) not in (1, seeds) or not all(_OUTCOME.fullmatch(text) for text in told):
+            raise GoldenError(f"samples.csv: outcomes {' '.join(told)}")
+    listed = Counter(sample.category for sample in samples.values())
+    table = RunTable(method, dataset, identity, provenance, samples, listed, seeds)
+    if [f"{_quoted(k)} = {_quoted(v)}" for k, v in cells.items()] != _cell_lines(table.table):
+        raise GoldenError("the cells of table.toml are not the sums of samples.csv")
+    return table
