@@ -136,9 +136,7 @@ class RunTable:
             for name, sample in previous.samples.items()
             if sample.category not in counts and sample.category in self.listed
         }
-        if kept and (
-            differences(previous.identity, self.identity) or previous.seeds != self.seeds
-        ):
+        if kept and (differences(previous.identity, self.identity) or previous.seeds != self.seeds):
             raise GoldenError(
                 "the cells of the other categories were made under other conditions; record all"
                 " categories together"
