@@ -34,8 +34,8 @@ _MOVING = (
     ("the F-score", 1, ""),
 )
 
-#: Errors that differ by less, relatively, are those of another machine's arithmetic.
-_SAME = 1e-3
+#: Errors that differ by less, relatively or absolutely, are those of another machine's arithmetic.
+_SAME_RELATIVE, _SAME_ABSOLUTE = 1e-3, 1e-4
 
 #: With this probability a part of the samples shows a change of the size that it states.
 CONFIDENCE = 0.95
@@ -209,7 +209,9 @@ class _Pairing:
                 for name in self.both
                 if (old := self.old[name].errors[column])
                 and (new := self.new[name].errors[column])
-                and not math.isclose(float(old), float(new), rel_tol=_SAME)
+                and not math.isclose(
+                    float(old), float(new), rel_tol=_SAME_RELATIVE, abs_tol=_SAME_ABSOLUTE
+                )
             ]
             if moves:
                 _, name, old_error, new_error = max(moves)

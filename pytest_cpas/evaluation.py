@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import platform
 from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from pytest_cpas.types import (
     Method,
     MethodInfo,
     Prediction,
+    Sample,
     SampleRef,
     Symmetry,
 )
@@ -70,6 +72,7 @@ class Row:
     is n/a (the method gives no extents or shape, or the data set has none). A failed prediction
     has its reason in ``failure`` and the errors of :data:`pytest_cpas.metrics.precision.FAILED`.
     ``estimate``: the answer itself, as of :func:`pytest_cpas.estimates.encode_estimate`.
+    ``repeats``: the outcomes (see :func:`outcomes`) under further seeds, separated by spaces.
     """
 
     sample: str
@@ -80,6 +83,7 @@ class Row:
     fscore_1cm: float | None
     failure: str | None = None
     estimate: str | None = None
+    repeats: str = ""
 
     @property
     def errors(self) -> dict[str, float | None]:
@@ -158,8 +162,11 @@ class Run(ABC):
 
     ``samples`` are those selected; ``listed`` counts per category what there was to select from.
     ``missing`` and ``damaged`` as for a data set. ``identity`` holds what must agree for two runs
-    to be comparable, ``provenance`` what else should be known of this one.
+    to be comparable, ``provenance`` what else should be known of this one. ``seeds`` is how often
+    each sample is judged.
     """
+
+    seeds = 1
 
     provenance: Mapping[str, str] = {
         "platform": f"{platform.system()} {platform.machine()}",
@@ -203,10 +210,15 @@ class MethodRun(Run):
         weights: Path | None = None,
         device: str = "cpu",
         seed: int = 0,
+        seeds: int = 1,
     ) -> None:
-        """List the samples whose category the method knows; nothing is loaded yet."""
+        """List the samples whose category the method knows; nothing is loaded yet.
+
+        Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row.
+        """
         self._method, self._dataset = method, dataset
         self._weights, self._device, self._seed = weights, device, seed
+        self.seeds = seeds
         absent: frozenset[str] = getattr(dataset, "absent", frozenset())
         present = [s for s in dataset.samples if s.id not in absent]
         known = [s for s in present if s.category in method.info.categories]
@@ -224,7 +236,12 @@ class MethodRun(Run):
             selection=selection,
             missing=missing,
             damaged=dataset.damaged,
-            identity={"data": dataset.digest, "seed": str(seed), "device": device},
+            identity={
+                "data": dataset.digest,
+                "seed": str(seed),
+                "device": device,
+                **_weights_identity(method.info, weights),
+            },
         )
 
     @functools.cached_property
@@ -245,8 +262,14 @@ class MethodRun(Run):
             raise SampleError(f"{where}: the data is bad: {error}") from None
         if self._load_error is not None:
             raise SampleError(f"{where}: the method cannot be loaded: {self._load_error}")
+        row, *repeats = [
+            self._judge(ref, sample, self._seed + further, where) for further in range(self.seeds)
+        ]
+        return replace(row, repeats=" ".join(outcomes(repeats))) if repeats else row
+
+    def _judge(self, ref: SampleRef, sample: Sample, seed: int, where: str) -> Row:
         try:
-            answers = self._method.predict([sample.observation], self._seed)
+            answers = self._method.predict([sample.observation], seed)
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:
@@ -256,6 +279,18 @@ class MethodRun(Run):
             return measure([ref], [sample.truth], [prediction], self._method.info)[0]
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
+
+
+def _weights_identity(info: MethodInfo, folder: Path | None) -> dict[str, str]:
+    """A digest of the files that a method loads; nothing for a method without any."""
+    if not info.assets or folder is None:
+        return {}
+    digest = hashlib.sha256()
+    for asset in sorted(info.assets, key=lambda asset: asset.path):
+        with (folder / asset.path).open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        digest.update(f"{asset.path} {content}\n".encode())
+    return {"weights": digest.hexdigest()[:16]}
 
 
 def check_answers(answers: Sequence[Prediction], info: MethodInfo) -> Prediction:

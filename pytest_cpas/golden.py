@@ -187,7 +187,7 @@ def _table_samples(rows: Sequence[Row]) -> dict[str, TableSample]:
         row.sample: TableSample(
             row.category,
             outcome,
-            row.repeats if set(row.repeats) - {outcome} else (),
+            tuple(row.repeats.split()) if set(row.repeats.split()) - {outcome} else (),
             (
                 text(row.translation_error),
                 text(row.rotation_error),
@@ -322,9 +322,10 @@ def read_golden(folder: Path) -> RunTable:
     try:
         try:
             return _read(folder)
-        except GoldenError:
-            return _read(folder)  # a writer may have come between the two files
-    except (OSError, UnicodeDecodeError, GoldenError) as error:
+        except (OSError, GoldenError):
+            with _exclusive(folder):  # a writer may have come between the two files
+                return _read(folder)
+    except (OSError, UnicodeDecodeError, GoldenError, filelock.Timeout) as error:
         raise GoldenError(
             f"{folder}: {error}; it was damaged or edited by hand. Restore it from version"
             " control, or remove it and record it anew with --snapshot-update"

@@ -7,8 +7,14 @@ is given: people install this plugin beside unrelated projects.
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from syrupy.assertion import SnapshotAssertion
+
+    from pytest_cpas.snapshot import GoldenAssertion
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -56,6 +62,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         type=int,
         default=0,
         help="seed of the method, and of the examples of --cpas-metrics (default: 0)",
+    )
+    group.addoption(
+        "--cpas-jitter",
+        metavar="K",
+        type=int,
+        default=1,
+        help="judge every sample under K seeds, so that --snapshot-update records their spread,"
+        " which later runs are then allowed (default: 1)",
     )
     group.addoption(
         "--cpas-category",
@@ -149,6 +163,23 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     for line in listing(config.invocation_params.dir / weights if weights else None):
         print(line)
     return 0
+
+
+@pytest.fixture
+def cpas_golden(snapshot: SnapshotAssertion) -> GoldenAssertion:
+    """The golden table that a :class:`pytest_cpas.golden.RunTable` is compared with by ``==``.
+
+    Which one follows from the table's method and data set; ``--snapshot-update`` records it.
+    """
+    from pytest_cpas.snapshot import GoldenAssertion, GoldenExtension
+
+    return GoldenAssertion(
+        session=snapshot.session,
+        extension_class=GoldenExtension,
+        test_location=snapshot.test_location,
+        update_snapshots=snapshot.update_snapshots,
+        update_new_snapshots_only=snapshot.update_new_snapshots_only,
+    )
 
 
 @pytest.hookimpl(trylast=True)

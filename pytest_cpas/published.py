@@ -14,7 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from pytest_cpas.golden import Verdict, Word, shipped_golden
+from pytest_cpas.comparison import Verdict, Word
+from pytest_cpas.golden import shipped_golden
 from pytest_cpas.metrics.precision import Count, JointThreshold
 
 #: Probability that a run that is as good as the published one is called worse.

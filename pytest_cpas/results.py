@@ -20,7 +20,7 @@ from typing import Any, TextIO
 from pytest_cpas.evaluation import Row, Run, SampleError
 from pytest_cpas.types import SampleRef
 
-FORMAT = 2
+FORMAT = 3
 
 
 class ResultsError(Exception):
@@ -59,6 +59,7 @@ class Header:
     damaged: Sequence[str]
     identity: Mapping[str, str]
     provenance: Mapping[str, str]
+    seeds: int
 
     @classmethod
     def of(cls, run: Run, shard: Shard) -> Header:
@@ -73,6 +74,7 @@ class Header:
             list(run.damaged),
             dict(run.identity),
             dict(run.provenance),
+            run.seeds,
         )
 
 
@@ -223,6 +225,7 @@ class MergedRun(Run):
         )
         self.listed = Counter(header.listed)
         self.provenance = header.provenance
+        self.seeds = header.seeds
 
     def judge(self, ref: SampleRef) -> Row:
         """The stored row; raises the stored error."""

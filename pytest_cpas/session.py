@@ -18,20 +18,14 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas._suite_session import SuiteSession
+from pytest_cpas.comparison import Verdict, Word, compare
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
-from pytest_cpas.golden import (
-    GoldenError,
-    GoldenTable,
-    Verdict,
-    Word,
-    compare,
-    find_golden,
-    recorded_golden,
-)
+from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
 from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.terminal import print_run
 from pytest_cpas.results import ResultsError, ResultsFile, Shard, merge
+from pytest_cpas.snapshot import golden_folder
 from pytest_cpas.types import ContractError, Method, MethodInfo, SampleRef
 
 #: Where an item keeps what it found out: rows, and errors of samples without one.
@@ -52,7 +46,7 @@ class CpasSession(SuiteSession):
     def __init__(self, config: pytest.Config) -> None:
         """Resolve methods, data sets and predictions; :class:`pytest.UsageError` if that fails."""
         super().__init__(config, "test_samples.py", "cpas")
-        self.golden = _golden_folder(config)
+        self.golden = golden_folder(config)
         self.runs: list[Run] = _resolve_runs(config)
         self.files = _results_files(config, self.runs)
         self.rows: dict[Run, dict[str, Row]] = {
@@ -138,12 +132,11 @@ class CpasSession(SuiteSession):
                 verdicts = compare_published(published, tabulate(rows))
                 if verdicts:
                     return verdicts
-            return compare(golden, rows, run)
+            return compare(golden, RunTable.of(run, rows))
         try:
             if self._broken or run.damaged:
                 raise GoldenError(f"{self._broken} items failed; a golden table needs none to")
-            previous = recorded_golden(self.golden, run.method, run.dataset)
-            folder = GoldenTable.of(run, rows, previous).write(self.golden)
+            folder = record(self.golden, RunTable.of(run, rows))
             return [Verdict(Word.RECORDED, "all", str(folder))]
         except GoldenError as error:
             return [Verdict(Word.NOT_RECORDED, "all", str(error))]
@@ -182,8 +175,19 @@ class CpasSession(SuiteSession):
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The tables and verdicts."""
-        for run in self.runs if self.is_controller else ():
+        if not self.is_controller:
+            return
+        for run in self.runs:
             print_run(terminalreporter, run, self._ordered(run), self.verdicts.get(run, []))
+        if self.update:
+            known = {run.method for run in self.runs} | {
+                entry.name for entry in registry.registered("method")
+            }
+            for folder in orphans(self.golden, known):
+                terminalreporter.write_line(
+                    f"orphaned golden table: no method {folder.parent.name} is registered or was"
+                    f" judged; if it is gone, remove {folder}"
+                )
 
 
 def cpas_session(config: pytest.Config) -> CpasSession:
@@ -213,6 +217,8 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
         )
     if options.cpas_limit is not None and options.cpas_limit < 1:
         raise pytest.UsageError(f"--cpas-limit is {options.cpas_limit}, expected at least 1")
+    if options.cpas_jitter < 1:
+        raise pytest.UsageError(f"--cpas-jitter is {options.cpas_jitter}, expected at least 1")
     data, weights = (
         None if folder is None else config.invocation_params.dir / folder
         for folder in (options.cpas_data, options.cpas_weights)
@@ -230,6 +236,7 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
                 weights=weights,
                 device=options.cpas_device,
                 seed=options.cpas_seed,
+                seeds=options.cpas_jitter,
                 selection=selection,
             )
             for make in methods
@@ -251,21 +258,6 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     if len(set(names)) < len(names):
         raise pytest.UsageError(f"the same method and data set twice: {names}")
     return runs
-
-
-def _golden_folder(config: pytest.Config) -> Path:
-    """Where golden tables are read first and written.
-
-    The default is in the root directory if that is the project's. Without a configuration file
-    pytest may take the folder behind ``--cpas-data DIR`` for it, so then it is where pytest was
-    started.
-    """
-    here = config.invocation_params.dir
-    named: str | None = config.option.cpas_golden
-    if named:
-        return here / named
-    is_project = config.inipath is not None and here.is_relative_to(config.rootpath)
-    return (config.rootpath if is_project else here) / str(config.getini("cpas_golden") or "golden")
 
 
 def _results_files(config: pytest.Config, runs: Sequence[Run]) -> dict[Run, ResultsFile]:

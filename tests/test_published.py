@@ -6,7 +6,8 @@ import random
 import pytest
 from scipy.stats import binom
 
-from pytest_cpas.golden import Word, shipped_golden
+from pytest_cpas.comparison import Word
+from pytest_cpas.golden import shipped_golden
 from pytest_cpas.metrics.precision import Count
 from pytest_cpas.published import (
     FALSE_ALARMS,

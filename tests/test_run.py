@@ -133,7 +133,7 @@ def test_broken_answer_fails_its_sample_only(recorded, method, words, how):
     result.stdout.fnmatch_lines(
         [
             "11 of 12 samples judged",
-            "*NOT CHECKED mug: 5 of 6 judged; the 5 judged agree with the golden table",
+            "*NOT CHECKED mug: 5 of 6 judged; the 5 judged agree with the golden table. A*",
         ]
     )
 
@@ -146,7 +146,7 @@ def test_dying_worker_costs_its_sample_only(recorded):
             "worker 'gw?' crashed while running 'cpas::test_sample*mug-scene_1/0005]'",
             "11 of 12 samples judged",
             "golden: MATCHES bowl: all 6 samples agree with the golden table",
-            "golden: NOT CHECKED mug: 5 of 6 judged; the 5 judged agree with the golden table",
+            "golden: NOT CHECKED mug: 5 of 6 judged; the 5 judged agree with the golden table. A*",
         ]
     )
 
@@ -200,13 +200,18 @@ def test_one_category_is_recorded_without_touching_the_others(recorded, pytester
     result.stdout.fnmatch_lines(["golden: NOT RECORDED: *record all categories together"])
 
 
-def test_method_that_knows_fewer_categories(recorded):
+def test_method_that_knows_fewer_categories_has_shrunk(recorded, cpas):
     result = recorded("OnlyMugs")
-    assert result.ret == 0
+    assert result.ret == 1
     result.stdout.fnmatch_lines(
-        ["missing: perfect does not know bowl: 6 samples left out", "6 of 6 samples judged"]
+        [
+            "missing: perfect does not know bowl: 6 samples left out",
+            "6 of 6 samples judged",
+            "golden: CHANGED bowl: the data set and the method have 0 samples in common, the"
+            " golden table has 6",
+        ]
     )
-    assert recorded("OnlyMugs", "--cpas-require-golden").ret == 1
+    assert recorded("Perfect", "--cpas-category=mug").ret == 0  # asked for, so it is no loss
 
 
 def test_interrupted_run_says_so(recorded, pytester):

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import pytest
 
+from pytest_cpas.comparison import GOOD, Verdict, Word
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, tabulate
-from pytest_cpas.golden import GOOD, Verdict, Word
 from pytest_cpas.metrics.precision import Count
 
 #: A run of at most this many samples shows each of them.
