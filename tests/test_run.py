@@ -200,7 +200,7 @@ def test_one_category_is_recorded_without_touching_the_others(recorded, pytester
     result.stdout.fnmatch_lines(["golden: NOT RECORDED: *record all categories together"])
 
 
-def test_method_that_knows_fewer_categories_has_shrunk(recorded, cpas):
+def test_method_that_knows_fewer_categories_has_shrunk(recorded):
     result = recorded("OnlyMugs")
     assert result.ret == 1
     result.stdout.fnmatch_lines(
