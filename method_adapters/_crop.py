@@ -108,11 +108,16 @@ def depth_pixels(
     """
     valid = mask & (depth > 0)
     rows, columns = np.nonzero(valid[crop.slices])
-    if len(rows) < MIN_DEPTH_PIXELS:
-        raise NoAnswerError(
-            f"{len(rows)} pixels of the mask have a depth, expected at least {MIN_DEPTH_PIXELS}"
-        )
+    require_depth_pixels(len(rows))
     return rows, columns
+
+
+def require_depth_pixels(count: int) -> None:
+    """Raises :class:`NoAnswerError` if there are fewer than ``MIN_DEPTH_PIXELS``."""
+    if count < MIN_DEPTH_PIXELS:
+        raise NoAnswerError(
+            f"{count} pixels of the mask have a depth, expected at least {MIN_DEPTH_PIXELS}"
+        )
 
 
 def subset_in_order(

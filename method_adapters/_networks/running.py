@@ -92,18 +92,24 @@ def _some(keys: Sequence[str]) -> str:
     return ", ".join(keys[:3]) + (", ..." if len(keys) > 3 else "")
 
 
+def device_named(name: str) -> torch.device:
+    """Raises ValueError for a device that torch does not know or does not see."""
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise ValueError(f"device {name!r}: expected cpu, cuda or cuda:N") from error
+    count = torch.cuda.device_count()
+    if device.type == "cuda" and (device.index or 0) >= count:
+        raise ValueError(f"device {name!r}: torch {torch.__version__} sees {count} of them")
+    return device
+
+
 class Runner:
     """A network in evaluation mode on a device; arrays in, arrays out."""
 
     def __init__(self, network: nn.Module, device: str) -> None:
-        """Raises ValueError for a device that torch does not know or does not see."""
-        try:
-            self._device = torch.device(device)
-        except RuntimeError as error:
-            raise ValueError(f"device {device!r}: expected cpu, cuda or cuda:N") from error
-        count = torch.cuda.device_count()
-        if self._device.type == "cuda" and (self._device.index or 0) >= count:
-            raise ValueError(f"device {device!r}: torch {torch.__version__} sees {count} of them")
+        """Raises ValueError as :func:`device_named`."""
+        self._device = device_named(device)
         self._network = network.eval().to(self._device)
 
     def __call__(self, *inputs: NDArray[Any]) -> tuple[NDArray[np.float64], ...]:

@@ -1,0 +1,153 @@
+"""Depth of signed distance fields along rays, by sphere tracing, with gradients; pure torch.
+
+The field: distances (n, n, n) on the nodes of a cube, axes x, y, z, first and last node on its
+faces, in units of its half-width, negative inside. Camera frame: OpenGL (y up, looking along -z).
+The rendering is that of Bruns & Jensfelt (RA-L 2022, section IV-B).
+
+A ray ends where the distance falls below a share of the way along it. The depth's gradient is
+that of one further step of sphere tracing, at a fixed place on the ray: parameters that bring the
+surface nearer by a millimetre there shorten the ray by a millimetre.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from pytest_cpas.types import Camera
+
+#: How a depth's gradient is shared among the eight nodes around the end of its ray: as in trilinear
+#: interpolation, or as the published kernel does, with the weights in the wrong order.
+Gradient = Literal["correct", "published"]
+
+
+class Placement(NamedTuple):
+    """Where a field is: ``position`` (3,) of its centre and ``half_width`` (), metres, and its
+    ``rotation`` (3, 3), field to camera."""
+
+    position: Tensor
+    rotation: Tensor
+    half_width: Tensor
+
+
+def rotation_matrix(quaternion: Tensor) -> Tensor:
+    """The rotation (3, 3) of a quaternion (4,), scalar last, of any length."""
+    x, y, z, w = quaternion / quaternion.norm()
+    return torch.stack(
+        [
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)]),
+            torch.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)]),
+            torch.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def ray_directions(camera: Camera, rows: Tensor, columns: Tensor) -> Tensor:
+    """Unit vectors (N, 3) through the centres of pixels."""
+    x = (columns - camera.cx) / camera.fx
+    y = -(rows - camera.cy) / camera.fy
+    return functional.normalize(torch.stack([x, y, -torch.ones_like(x)], -1), dim=-1)
+
+
+def distances(sdf: Tensor, place: Placement, points: Tensor) -> Tensor:
+    """Interpolated distances (N,), metres, at points (N, 3); 0 outside the cube."""
+    at = _in_cube(place, points)
+    inside = ((at >= -1) & (at < 1)).all(-1)
+    return torch.where(inside, _interpolated(sdf, at), 0.0) * place.half_width
+
+
+def ray_depths(
+    sdf: Tensor,
+    place: Placement,
+    directions: Tensor,
+    threshold: float,
+    gradient: Gradient = "correct",
+) -> tuple[Tensor, Tensor]:
+    """Which rays (N,) from the camera's centre along unit ``directions`` (N, 3) meet the surface,
+    and the depths along the optical axis (M,) of those that do, metres.
+
+    A ray ends where the distance is less than ``threshold`` times its length.
+    """
+    with torch.no_grad():
+        length = _traced(sdf, place, directions, threshold)
+        hit = length > 0
+        length, directions = length[hit, None], directions[hit]
+    at = _in_cube(place, length * directions)
+    if gradient == "correct":
+        step = _interpolated(sdf, at)
+    else:
+        shared = _shared_as_published(sdf, at.detach())
+        step = _interpolated(sdf.detach(), at) + (shared - shared.detach())
+    step = step * place.half_width
+    return hit, -directions[:, 2] * (length[:, 0] + step - step.detach())
+
+
+def render_depth(
+    sdf: Tensor,
+    place: Placement,
+    camera: Camera,
+    threshold: float,
+    gradient: Gradient = "correct",
+) -> Tensor:
+    """The depth image (H, W), metres, 0 where no ray meets the surface; see :func:`ray_depths`."""
+    shape = (camera.height, camera.width)
+    axes = (torch.arange(size, dtype=sdf.dtype, device=sdf.device) for size in shape)
+    rows, columns = torch.meshgrid(*axes, indexing="ij")
+    directions = ray_directions(camera, rows.flatten(), columns.flatten())
+    hit, depth = ray_depths(sdf, place, directions, threshold, gradient)
+    image = torch.zeros(len(hit), dtype=sdf.dtype, device=sdf.device)
+    return image.masked_scatter(hit, depth).reshape(shape)
+
+
+def _in_cube(place: Placement, points: Tensor) -> Tensor:
+    """Camera-frame points in the cube's own frame, where it reaches from -1 to 1."""
+    return (points - place.position) @ place.rotation / place.half_width
+
+
+def _interpolated(sdf: Tensor, at: Tensor) -> Tensor:
+    """Trilinear, at places (N, 3) in the cube; outside, the nearest value on its faces."""
+    # torch takes the coordinate of the last axis first
+    found = functional.grid_sample(
+        sdf[None, None], at.flip(-1)[None, None, None], padding_mode="border", align_corners=True
+    )
+    return found[0, 0, 0, 0]
+
+
+def _shared_as_published(sdf: Tensor, at: Tensor) -> Tensor:
+    """Sums over the nodes around each place (N, 3), with the published kernel's weights.
+
+    For the nodes in the order 000, 001, ... 111 (x, y, z) it has the list of weights shifted by
+    one, and one of them twice.
+    """
+    side = len(sdf)
+    cell = (at + 1) * ((side - 1) / 2)
+    base = cell.floor().clamp(0, side - 2)
+    x, y, z = (cell - base).unbind(-1)
+    u, v, w = 1 - x, 1 - y, 1 - z
+    order = [u * v * z, u * y * w, u * y * z, x * v * w, x * v * z, x * v * z, x * y * w, x * y * z]
+    strides = torch.tensor([side * side, side, 1], device=sdf.device)
+    corners = torch.cartesian_prod(*[torch.arange(2, device=sdf.device)] * 3)
+    nodes = (base.long() @ strides)[:, None] + corners @ strides
+    return (sdf.flatten()[nodes] * torch.stack(order, -1)).sum(-1)
+
+
+def _traced(sdf: Tensor, place: Placement, directions: Tensor, threshold: float) -> Tensor:
+    """Lengths (N,) of the rays, metres, 0 for those that miss."""
+    start = -(place.position @ place.rotation) / place.half_width
+    slope = directions @ place.rotation / place.half_width
+    faces = torch.stack([(-1 - start) / slope, (1 - start) / slope])
+    length, leaves = faces.amin(0).amax(-1).clamp(min=0), faces.amax(0).amin(-1)
+    found = torch.zeros_like(length)
+    ray = torch.nonzero(length < leaves)[:, 0]
+    length, leaves, slope = length[ray], leaves[ray], slope[ray]
+    while len(ray):
+        step = _interpolated(sdf, start + length[:, None] * slope) * place.half_width
+        ends = step < threshold * length
+        found[ray[ends]] = length[ends]
+        length = length + step
+        on = torch.nonzero(~ends & (length < leaves))[:, 0]
+        ray, length, leaves, slope = ray[on], length[on], leaves[on], slope[on]
+    return found

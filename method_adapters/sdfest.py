@@ -1,0 +1,204 @@
+"""``sdfest``: Signed Distance Field Estimation (Bruns & Jensfelt, RA-L 2022).
+
+A network gives a first estimate of pose, size and latent shape from the object's points; then the
+decoded distance field is rendered, and all four are refined until it looks like the depth image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from method_adapters._assets import asset_path, require_torch
+from method_adapters._crop import NoAnswerError, require_depth_pixels
+from method_adapters._level_set import level_set, require_scikit_image
+from method_adapters._sdfest_configuration import Configuration, read_configuration, released
+from method_adapters._so3_grid import rotation_grid
+from pytest_cpas.frames import OPENCV_FROM_OPENGL
+from pytest_cpas.metrics import sample_surface
+from pytest_cpas.types import (
+    Array,
+    Asset,
+    ContractError,
+    Hypothesis,
+    Mesh,
+    MethodInfo,
+    Observation,
+    Pose,
+    Prediction,
+)
+
+if TYPE_CHECKING:
+    from method_adapters._networks.sdfest import InitNet, SdfVae
+    from method_adapters._sdf_renderer import Gradient
+    from method_adapters._sdfest_estimation import Estimate, View
+
+require_torch()
+require_scikit_image()
+
+CATEGORIES = ("bottle", "bowl", "mug")
+#: Depth beyond this is not used, metres.
+FAR = 2.0
+#: Steps of refinement.
+ITERATIONS = 50
+#: The surface is where the decoded distance is this, in half-widths of the volume.
+LEVEL = 0.02
+POINT_COUNT = 10_000
+
+#: Object axes of older networks -> ShapeNet's. Their distance fields have y and z exchanged, which
+#: mirrors the object; bottles, bowls and mugs are their own mirror images in x, and mirrored in x
+#: as well, they are only turned.
+SHAPENET_FROM_Z_UP = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+
+RELEASE = "https://github.com/roym899/sdfest/releases/download/v0.1.0"
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is trained for one category; ``grid``: its rotations as quaternions (n, 4); ``axes``
+    (3, 3) take its object frame to ShapeNet's."""
+
+    init: InitNet
+    vae: SdfVae
+    grid: Array
+    axes: Array
+
+
+class Sdfest:
+    """SDFEst as a :class:`pytest_cpas.types.Method`; :meth:`predict_views` takes several views.
+
+    ``sdfest/`` below the weights folder holds the files of the release v0.1.0, or an older set
+    with configuration files; see :func:`configuration`. ``gradient`` and ``iterations`` may be
+    changed before loading.
+    """
+
+    info = MethodInfo(
+        name="sdfest",
+        categories=CATEGORIES,
+        needs=frozenset({"depth"}),
+        gives=frozenset({"extents", "shape"}),
+        licence="MIT",
+        assets=tuple(
+            Asset(f"sdfest/{name}", f"{RELEASE}/{name}", "MIT")
+            for category in CATEGORIES
+            for name in released(category).weights
+        ),
+    )
+    gradient: Gradient = "correct"
+    iterations = ITERATIONS
+
+    def load(self, assets: Path | None, device: str) -> None:
+        """Read the weights of all categories below the folder ``assets``.
+
+        Raises FileNotFoundError, :class:`method_adapters._assets.AssetError`, or ValueError for a
+        device that is not there.
+        """
+        from method_adapters._networks.running import device_named, load_weights
+        from method_adapters._networks.sdfest import InitNet, SdfVae
+
+        self._device = device_named(device)
+        folder = asset_path(assets, self.info.assets[0]).parent
+        self._models = {}
+        for category in self.info.categories:
+            layers = configuration(folder, category)
+            model = Model(
+                InitNet(layers),
+                SdfVae(layers),
+                rotation_grid(layers.head.resolution),
+                SHAPENET_FROM_Z_UP if layers.z_up else np.eye(3),
+            )
+            for network, name in zip((model.init, model.vae), layers.weights, strict=True):
+                load_weights(network, folder / name)
+                network.eval().requires_grad_(False).to(self._device)
+            self._models[category] = model
+
+    def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:
+        """One prediction per observation."""
+        here = Pose(np.eye(3), np.zeros(3))
+        return [self.predict_views([(seen, here)], seed) for seen in batch]
+
+    def predict_views(self, views: Sequence[tuple[Observation, Pose]], seed: int) -> Prediction:
+        """One prediction from several views of an object that does not move.
+
+        With each observation comes its camera's pose, camera (OpenCV axes) to world; the hypothesis
+        is posed in the world. The first view gives the first estimate, as published, and all of
+        them refine it. Raises :class:`pytest_cpas.types.ContractError` for views of different
+        categories, or none.
+        """
+        categories = {seen.category for seen, _ in views}
+        if len(categories) != 1:
+            raise ContractError(f"views of {sorted(categories)}; expected views of one object")
+        try:
+            return Prediction((self._hypothesis(categories.pop(), views, seed),))
+        except NoAnswerError as error:
+            return Prediction.failed(str(error))
+
+    def _hypothesis(
+        self, category: str, views: Sequence[tuple[Observation, Pose]], seed: int
+    ) -> Hypothesis:
+        from method_adapters._sdfest_estimation import first_estimate, refine
+
+        if category not in self._models:
+            known = ", ".join(self.info.categories)
+            raise NoAnswerError(f"category {category!r}: {self.info.name} knows {known}")
+        model = self._models[category]
+        taken = [self._view(seen, camera) for seen, camera in views]
+        first = first_estimate(model.init, model.grid, taken[0])
+        found = refine(model.vae, first, taken, self.iterations, self.gradient)
+        return interpret(found, reconstruct(model.vae, found), model.axes, seed)
+
+    def _view(self, seen: Observation, camera: Pose) -> View:
+        from torch import as_tensor
+
+        from method_adapters._sdfest_estimation import View
+
+        points = seen.camera.back_project(seen.depth, seen.mask & (seen.depth <= FAR))
+        require_depth_pixels(len(points))
+        points = points @ OPENCV_FROM_OPENGL
+        directions = points / np.linalg.norm(points, axis=1, keepdims=True)
+        parts = (directions, points, camera.rotation @ OPENCV_FROM_OPENGL, camera.translation)
+        single = (np.array(part, dtype=np.float32) for part in parts)
+        return View(*(as_tensor(part, device=self._device) for part in single))
+
+
+def configuration(folder: Path, category: str) -> Configuration:
+    """What the files in ``folder`` are for a category.
+
+    With ``robust_CATEGORY.yaml``, or else ``CATEGORY.yaml``, what that says; the robust networks
+    were trained with inexact masks, like the release. Without, the release v0.1.0.
+    """
+    for path in (folder / f"robust_{category}.yaml", folder / f"{category}.yaml"):
+        if path.is_file():
+            return read_configuration(path)
+    return released(category)
+
+
+def reconstruct(vae: SdfVae, found: Estimate) -> Mesh:
+    """The closed surface of an estimate in its own frame, metres; raises :class:`NoAnswerError`."""
+    from torch import inference_mode
+
+    half_width = float(found.half_width)
+    if not 0 < half_width < np.inf:
+        raise NoAnswerError(f"the half-width of the volume became {half_width:g} m")
+    with inference_mode():
+        distances = vae(found.latent[None])[0, 0].cpu().numpy()
+    return level_set(distances, LEVEL, half_width=half_width, closed=True)
+
+
+def interpret(found: Estimate, mesh: Mesh, axes: Array, seed: int) -> Hypothesis:
+    """The answer in the world frame, object axes turned by ``axes`` (3, 3): pose, mesh, points on
+    it, and the box around these that has its centre at the origin."""
+    mesh = Mesh(mesh.vertices @ axes.T, mesh.triangles)
+    points = sample_surface(mesh, POINT_COUNT, seed)
+    return Hypothesis(
+        Rotation.from_quat(found.quaternion.cpu().numpy()).as_matrix() @ axes.T,
+        found.position.cpu().numpy(),
+        2 * np.abs(points).max(axis=0),
+        points=points,
+        mesh=mesh,
+    )
