@@ -1,0 +1,160 @@
+"""``assert table == cpas_golden`` in tests of one's own, and the seeds of --cpas-jitter."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from harness import RUN
+
+TEST = """
+from tiny import {method}, Tiny
+from pytest_cpas.evaluation import MethodRun, Selection
+from pytest_cpas.golden import RunTable
+
+def test_table(cpas_golden):
+    assert RunTable.of(MethodRun({method}(), Tiny(None), selection={selection})) == cpas_golden
+"""
+
+
+@pytest.fixture
+def own(cpas, pytester):
+    """Run a test of one's own that judges ``method``."""
+
+    def run(method: str, *args: str, selection: str = "None") -> pytest.RunResult:
+        source = TEST.format(method=method, selection=selection)
+        pytester.makepyfile(test_own=source)
+        start = pytester.runpytest_subprocess if "-n2" in args else pytester.runpytest_inprocess
+        return start(*RUN, "test_own.py", *args)
+
+    return run
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_without_a_table_it_fails_and_update_records_it(own, cpas, pytester):
+    assert own("Perfect").ret == 1
+    result = own("Perfect", "--snapshot-update")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["1 snapshot generated."])
+    assert own("Perfect").ret == 0
+    # the verdict at the end of a run reads the same table, and writes the same bytes
+    assert cpas("Perfect", "--cpas-require-golden").ret == 0
+    recorded = files(pytester.path / "golden")
+    shutil.rmtree(pytester.path / "golden" / "recorded")
+    assert cpas("Perfect", "--snapshot-update").ret == 0
+    assert files(pytester.path / "golden") == recorded
+    assert own("Perfect").ret == 0
+    assert not list(pytester.path.rglob("__snapshots__"))
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_regression_is_told_in_the_words_of_the_verdict(own, recorded, how):
+    result = own("Biased", *how)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(
+        [
+            "*REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
+            "*lost: scene_0/0001 (0 cm, 0 deg, F 1 -> 0 cm, 7 deg, F *); scene_0/0003 *",
+        ]
+    )
+    assert recorded("Biased").ret == 1
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_update_is_seen_by_both_and_deletes_nothing(own, recorded, pytester, how):
+    other = pytester.path / "golden" / "recorded" / "other" / "tiny"
+    shutil.copytree(other.parents[1] / "perfect" / "tiny", other)
+    kept = files(other)
+    assert own("Biased", "--snapshot-update", *how).ret == 0
+    assert recorded("Biased", "--cpas-require-golden").ret == 0
+    assert recorded("Perfect").ret == 1
+    assert files(other) == kept
+
+
+def test_part_of_the_samples_neither_matches_nor_is_recorded(own, recorded, pytester):
+    before = files(pytester.path / "golden")
+    result = own("Perfect", selection="Selection(limit=5)")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*NOT CHECKED bowl: 3 of 6 judged; *"])
+    result = own("Biased", "--snapshot-update", selection="Selection(limit=5)")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*GoldenError: not every sample was judged*"])
+    assert files(pytester.path / "golden") == before
+
+
+def test_damaged_table_is_told(own, recorded, pytester):
+    (pytester.path / "golden/recorded/perfect/tiny/samples.csv").write_text("hello")
+    result = own("Perfect")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*GoldenError*samples.csv is not the file*"])
+
+
+def test_only_tables_are_compared(own, recorded, pytester):
+    pytester.makepyfile(test_own="def test_it(cpas_golden):\n    assert {'mug': 3} == cpas_golden")
+    result = pytester.runpytest_inprocess(*RUN, "test_own.py")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*TypeError: cpas_golden is compared with a dict, expected a*"])
+
+
+# -- seeds ------------------------------------------------------------------------------------
+
+
+def test_recorded_spread_is_allowed(cpas, pytester):
+    assert cpas("Wobbles", "--snapshot-update", "--cpas-jitter=4").ret == 0
+    folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
+    lines = (folder / "samples.csv").read_text().splitlines()
+    outcomes = {line.split(",")[0]: line.split(",")[2:4] for line in lines[1:]}
+    assert outcomes["scene_0/0000"] == ["1111", ""]
+    assert any("0000" in repeats and "1111" in repeats for _, repeats in outcomes.values())
+    assert "seeds = 4" in (folder / "table.toml").read_text()
+    result = cpas("Wobbles")
+    assert result.ret == 0
+    # six samples are too few to tell, and it says so
+    result.stdout.fnmatch_lines(
+        [
+            "golden: NOT CHECKED (bowl, mug)",
+            "golden: MATCHES: all 12 samples are within the spread of the 4 recorded seeds; a"
+            " loss of * at 10 deg, 2 cm, * would be called",
+        ]
+    )
+    # a run that would forget the spread does not replace it
+    result = cpas("Wobbles", "--snapshot-update")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["golden: NOT RECORDED: *pass --cpas-jitter 4*"])
+
+
+def test_seeds_survive_shards_and_results(cpas, pytester):
+    for index in (1, 2):
+        cpas("Wobbles", f"--cpas-shard={index}/2", "--cpas-results=out", "--cpas-jitter=3")
+    merged = [f"--cpas-merge={path}" for path in sorted((pytester.path / "out").iterdir())]
+    assert pytester.runpytest_inprocess(*RUN, "--snapshot-update", *merged).ret == 0
+    from_shards = files(pytester.path / "golden")
+    shutil.rmtree(pytester.path / "golden" / "recorded")
+    assert cpas("Wobbles", "--snapshot-update", "--cpas-jitter=3", "-n2").ret == 0
+    assert files(pytester.path / "golden") == from_shards
+    again = ("--cpas-shard=1/2", "--cpas-results=out", "--cpas-jitter=2")
+    assert "seeds was 3, now 2" in cpas("Wobbles", *again).stderr.str()
+
+
+def test_seeds_of_a_deterministic_method_allow_no_flip(cpas):
+    assert cpas("Perfect", "--snapshot-update", "--cpas-jitter=3").ret == 0
+    assert cpas("Perfect", "--cpas-require-golden").ret == 0
+    assert cpas("Refuses").ret == 1
+
+
+def test_orphaned_tables_are_told_when_updating(cpas, recorded, pytester):
+    recorded_folder = pytester.path / "golden" / "recorded"
+    (recorded_folder / "perfect").rename(recorded_folder / "gone")
+    result = cpas("Perfect", "--snapshot-update")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["orphaned golden table: no method gone is registered or *"])
+    assert cpas("Perfect").stdout.str().count("orphaned golden") == 0
+
+
+@pytest.mark.parametrize("count", ["0", "-2"])
+def test_bad_number_of_seeds(cpas, count):
+    result = cpas("Perfect", f"--cpas-jitter={count}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*expected at least 1*"])
