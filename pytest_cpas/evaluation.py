@@ -197,6 +197,10 @@ class Run(ABC):
     def judge(self, ref: SampleRef) -> Row:
         """The row of one sample; raises :class:`SampleError`."""
 
+    def truth(self, ref: SampleRef) -> GroundTruth | None:
+        """The truth about one sample; None where only its row is left."""
+        return None
+
 
 class MethodRun(Run):
     """A method on a data set. The method is loaded at its first sample, once per process."""

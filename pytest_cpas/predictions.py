@@ -210,6 +210,10 @@ class StoredRun(Run):
             raise SampleError(f"{self.method}, sample {ref.id} ({ref.category}): {row}")
         return row
 
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about one sample."""
+        return self._pair(ref)[0]
+
     @functools.cached_property
     def _rows(self) -> dict[str, Row | ContractError]:
         """All at once: measuring in bulk is what makes large files quick."""

@@ -1,0 +1,324 @@
+"""Which usual mistakes explain the answers that are wrong.
+
+Every explanation of at most two mistakes is undone on all answers and judged by how many samples
+become correct. It is believed if it repairs a good part of them, breaks next to none, is not what
+any other object's answer would do as well, and is not what trying hundreds of explanations finds
+by chance. Of those that repair as many, the simplest is reported, and the others named.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betainc
+
+from pytest_cpas.diagnosis.evidence import ANGLE_DEG, BOX_IOU, DISTANCE_M, Bools, Evidence, finite
+from pytest_cpas.diagnosis.fitted import fitted_lengths, fitted_offsets, part_flips, wrong_boxes
+from pytest_cpas.diagnosis.mistakes import READINGS, Mistake, cameras, object_frames, units
+from pytest_cpas.estimates import Estimates
+from pytest_cpas.metrics.precision import Count
+
+#: An explanation must make at least this share of the answers correct that were not.
+REPAIRED = 0.1
+
+#: ... or, with half turns in a part of the samples alone, this share,
+_FLIPPED = 0.2
+
+#: ... and repair this many for one that it breaks.
+_REPAIRED_PER_BROKEN = 4
+
+#: The probability that chance alone makes one of all explanations pass.
+_FALSE_ALARMS = 1e-3
+
+#: A mistake more must repair this share of the answers more.
+_WORTH = 0.02
+
+#: Explanations that differ by less than this share are equally good.
+_TIE = 0.005
+
+#: Other samples' truths that each answer is compared with to see what chance does.
+_SHUFFLES = 8
+
+Part = Literal["pose", "position", "rotation", "box"]
+
+_MEASURES: dict[Part, str] = {
+    "pose": f"at {ANGLE_DEG:g} deg, {100 * DISTANCE_M:g} cm",
+    "position": f"in position, at {100 * DISTANCE_M:g} cm",
+    "rotation": f"in rotation, at {ANGLE_DEG:g} deg",
+    "box": f"at IoU {BOX_IOU:g}",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Mistakes that explain wrong answers of a ``category`` (or "all"), with the counts of samples
+    correct ``before`` and ``after`` they are undone; ``ties`` names what would explain as much."""
+
+    category: str
+    part: Part
+    mistakes: tuple[Mistake, ...]
+    before: Count
+    after: Count
+    ties: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The names of the mistakes."""
+        return _name(self.mistakes)
+
+    def lines(self) -> list[str]:
+        """In words: what is wrong, what undoing it repairs, what to change."""
+        where = "" if self.category == "all" else f"{self.category}: "
+        words = ", and ".join(mistake.words for mistake in self.mistakes)
+        cure = " and ".join(mistake.cure for mistake in self.mistakes)
+        share = 100 * self.after.precision
+        lines = [
+            f"{where}{words}: with {cure} {share:.0f} % of the samples are correct"
+            f" ({self.after.correct} of {self.after.total}, before {self.before.correct};"
+            f" {_MEASURES[self.part]})"
+        ]
+        lines += [f"  change: {mistake.fix}" for mistake in self.mistakes]
+        if self.ties:
+            rest = f" and {len(self.ties) - 3} more" if len(self.ties) > 3 else ""
+            lines.append(f"  these samples cannot tell it from {', '.join(self.ties[:3])}{rest}")
+        return lines
+
+
+def diagnose(evidence: Evidence) -> list[Finding]:
+    """What explains the wrong answers: of all samples, then of single categories, then of boxes.
+
+    Empty if nothing does. Pure; the same evidence gives the same findings.
+    """
+    findings, evidence = _explain_poses(evidence)
+    for category in sorted(set(evidence.category.tolist())):
+        part = evidence.of_category(category)
+        if _share(part) >= 0.5:
+            continue
+        found = _explain(part, "pose", category) or _explain_flips(part, category)
+        if found is not None:
+            findings.append(found)
+            chosen = evidence.category == category
+            evidence = _with(evidence, chosen, _undone(part.answers, found.mistakes))
+    box = _explain_boxes(evidence)
+    return findings if box is None else [*findings, box]
+
+
+def _explain_poses(evidence: Evidence) -> tuple[list[Finding], Evidence]:
+    """Explain the poses as far as possible; where that fails, position or rotation alone."""
+    findings: list[Finding] = []
+    parts: list[Part] = ["pose", "position", "rotation"]
+    while parts:
+        found = _explain(evidence, parts[0], "all")
+        if found is None:
+            parts.pop(0)
+            continue
+        findings.append(found)
+        evidence = replace(evidence, answers=_undone(evidence.answers, found.mistakes))
+        parts = ["pose"] if found.part == "pose" else ["pose", *parts[1:]]
+    return findings, evidence
+
+
+def _undone(answers: Estimates, mistakes: Sequence[Mistake]) -> Estimates:
+    for mistake in mistakes:
+        answers = mistake.undo(answers)
+    return answers
+
+
+def _with(evidence: Evidence, chosen: Bools, answers: Estimates) -> Evidence:
+    """The evidence with other answers of the chosen samples."""
+    arrays = [evidence.answers.rotation, evidence.answers.translation, evidence.answers.extents]
+    new = [array.copy() for array in arrays]
+    for array, values in zip(
+        new, (answers.rotation, answers.translation, answers.extents), strict=True
+    ):
+        array[chosen] = values
+    return replace(evidence, answers=Estimates(*new))
+
+
+def _share(evidence: Evidence) -> float:
+    return float(_correct(evidence, evidence.answers, "pose").mean())
+
+
+def _correct(
+    evidence: Evidence,
+    answers: Estimates,
+    part: Part,
+    near_order: NDArray[np.int64] | None = None,
+    turned_order: NDArray[np.int64] | None = None,
+) -> Bools:
+    """Which samples are correct in a part; compared with other samples' truths if ordered."""
+    correct = np.ones(len(evidence), dtype=bool)
+    if part != "rotation":
+        correct &= evidence.near(answers, near_order)
+    if part != "position":
+        correct &= evidence.turned(answers, evidence.axes[None], turned_order)[0]
+    return correct
+
+
+# -- poses -----------------------------------------------------------------------------------
+
+
+def _explain(evidence: Evidence, part: Part, category: str) -> Finding | None:
+    """The best explanation of a part of the poses, if it is believable."""
+    candidates = list(_candidates(evidence, part, fitted=category != "all"))
+    return _believed(evidence, part, category, candidates, REPAIRED)
+
+
+def _explain_flips(evidence: Evidence, category: str) -> Finding | None:
+    candidates = []
+    for mistake in part_flips(evidence):
+        correct = _correct(evidence, mistake.undo(evidence.answers), "pose")
+        candidates.append(((mistake,), int(correct.sum())))
+    return _believed(evidence, "pose", category, candidates, _FLIPPED)
+
+
+def _believed(
+    evidence: Evidence,
+    part: Part,
+    category: str,
+    candidates: Sequence[tuple[tuple[Mistake, ...], int]],
+    repaired: float,
+) -> Finding | None:
+    """The best of the candidates, if it is believable and repairs that share."""
+    if not len(evidence) or not candidates:
+        return None
+    mistakes, ties = _best(candidates, len(evidence))
+    before = _correct(evidence, evidence.answers, part)
+    answers = _undone(evidence.answers, mistakes)
+    after = _correct(evidence, answers, part)
+    chance = _chance(evidence, answers, part)
+    if not _believable(before, after, chance, len(candidates), repaired):
+        return None
+    return Finding(
+        category,
+        part,
+        mistakes,
+        Count(int(before.sum()), evidence.total),
+        Count(int(after.sum()), evidence.total),
+        ties,
+    )
+
+
+def _best(
+    candidates: Sequence[tuple[tuple[Mistake, ...], int]], size: int
+) -> tuple[tuple[Mistake, ...], tuple[str, ...]]:
+    """The explanation that makes most of ``size`` samples correct, and those that are as good.
+
+    A mistake more must be worth it, a fitted number twice.
+    """
+    costs = [sum(1 + mistake.fitted for mistake in mistakes) for mistakes, _ in candidates]
+    worth = [
+        count - _WORTH * size * cost for (_, count), cost in zip(candidates, costs, strict=True)
+    ]
+    good = [i for i, value in enumerate(worth) if value >= max(worth) - _TIE * size]
+    best = min(good, key=costs.__getitem__)
+    ties = [candidates[i][0] for i in good if i != best and costs[i] == costs[best]]
+    return candidates[best][0], tuple(_name(mistakes) for mistakes in ties)
+
+
+def _name(mistakes: Sequence[Mistake]) -> str:
+    return " + ".join(mistake.name for mistake in mistakes)
+
+
+def _candidates(
+    evidence: Evidence, part: Part, *, fitted: bool
+) -> Iterator[tuple[tuple[Mistake, ...], int]]:
+    """Explanations of one or two mistakes, the usual ones first, and how many they make correct."""
+    frames = object_frames(evidence) if part != "position" else []
+    turns = np.stack([evidence.axes, *(frame.turn for frame in frames if frame.turn is not None)])
+    readings = [m for m in READINGS if part != "position" or m.name == "pose-inverse"]
+    seen = [m for m in cameras(evidence) if part == "pose" or not m.name.endswith(_other(part))]
+    for reading, camera in itertools.product([None, *readings], [None, *seen]):
+        first = tuple(m for m in (reading, camera) if m is not None)
+        answers = _undone(evidence.answers, first)
+        turned = np.ones((1, len(evidence)), dtype=bool)
+        if part != "position":
+            turned = evidence.turned(answers, turns if len(first) < 2 else turns[:1])
+        lengths: list[Mistake] = []
+        if part != "rotation" and len(first) < 2:
+            lengths = [*units(), *fitted_lengths(evidence, answers)]
+            if fitted:
+                lengths += fitted_offsets(evidence, answers)
+        for length in (None, *lengths):
+            second = first if length is None else (*first, length)
+            near = np.ones(len(evidence), dtype=bool)
+            if part != "rotation":
+                near = evidence.near(_undone(answers, second[len(first) :]))
+            counts = np.count_nonzero(turned & near, axis=1)
+            for frame, count in zip([None, *frames], counts.tolist(), strict=False):
+                mistakes = second if frame is None else (*second, frame)
+                if 1 <= len(mistakes) <= 2:
+                    yield mistakes, count
+
+
+def _other(part: Part) -> str:
+    return "-translation" if part == "rotation" else "-rotation"
+
+
+def _chance(evidence: Evidence, answers: Estimates, part: Part) -> float:
+    """The share that is correct if what was changed is compared with other samples' truths."""
+    moved = not np.array_equal(answers.translation, evidence.answers.translation)
+    turned = not np.array_equal(answers.rotation, evidence.answers.rotation)
+    correct = 0
+    for order in _orders(evidence):
+        correct += int(
+            _correct(
+                evidence, answers, part, order if moved else None, order if turned else None
+            ).sum()
+        )
+    return (correct + 1) / (_SHUFFLES * len(evidence) + 2)
+
+
+def _orders(evidence: Evidence) -> Iterator[NDArray[np.int64]]:
+    """Ways to give every sample the truth of another one of its category."""
+    for shuffle in range(1, _SHUFFLES + 1):
+        order = np.arange(len(evidence))
+        for category in np.unique(evidence.category):
+            members = np.flatnonzero(evidence.category == category)
+            order[members] = np.roll(members, -(-len(members) * shuffle // (_SHUFFLES + 1)))
+        yield order
+
+
+def _believable(before: Bools, after: Bools, chance: float, tried: int, least: float) -> bool:
+    size, correct = len(before), int(after.sum())
+    repaired, broken = int((after & ~before).sum()), int((before & ~after).sum())
+    if repaired - broken < least * size or repaired < _REPAIRED_PER_BROKEN * broken:
+        return False
+    if correct < (chance + least) * size:
+        return False
+    # the probability of at least as many by chance, for any of the explanations tried
+    return bool(tried * betainc(correct, size - correct + 1, chance) < _FALSE_ALARMS)
+
+
+# -- boxes -----------------------------------------------------------------------------------
+
+
+def _explain_boxes(evidence: Evidence) -> Finding | None:
+    """The best explanation of wrong extents, if it is believable."""
+    given = finite(evidence.answers.extents)
+    if not given.any():
+        return None
+    part = evidence.part(given)
+    before = part.sized(part.answers.extents)
+    candidates = [
+        ((mistake,), int(part.sized(mistake.undo(part.answers).extents).sum()))
+        for mistake in wrong_boxes(part)
+    ]
+    mistakes, ties = _best(candidates, len(part))
+    answers = _undone(part.answers, mistakes)
+    # no other samples' truths here: extents of a category are much alike
+    if not _believable(before, part.sized(answers.extents), 0.0, len(candidates), REPAIRED):
+        return None
+    return Finding(
+        "all",
+        "box",
+        mistakes,
+        Count(int(part.boxes(part.answers).sum()), evidence.total),
+        Count(int(part.boxes(answers).sum()), evidence.total),
+        ties,
+    )
