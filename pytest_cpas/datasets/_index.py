@@ -9,6 +9,7 @@ anew for every sample anyway.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -171,7 +172,7 @@ def _read_kept(file: Path, root: Path) -> Index | None:
 
 def _keep(file: Path, index: Index, stamps: Stamps) -> None:
     content = index._asdict()
-    content["samples"] = [[ref.id, ref.category, ref.scene] for ref in index.samples]
+    content["samples"] = [dataclasses.astuple(ref) for ref in index.samples]
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as unfinished:
         json.dump({**content, "stamps": stamps}, unfinished)

@@ -14,13 +14,18 @@ from pytest_cpas.types import Array, ContractError, Mesh
 def read_mesh(path: Path, axes: Array | None = None) -> Mesh:
     """The mesh in a file; ``axes`` (3, 3), if given, maps its coordinates to those wanted.
 
+    Where ``axes`` mirrors, the triangles are turned, so that their outside stays outside.
+
     Raises :class:`ContractError` naming the file when it is damaged or has no triangles.
     """
     try:
         # materials would be looked for beside the file, or wherever it says
         loaded = trimesh.load_mesh(regular(path), process=False, skip_materials=True)
         vertices = np.asarray(loaded.vertices, dtype=float)
-        return Mesh(vertices if axes is None else vertices @ axes.T, loaded.faces)
+        triangles = np.asarray(loaded.faces)
+        if axes is None:
+            return Mesh(vertices, triangles)
+        return Mesh(vertices @ axes.T, triangles if np.linalg.det(axes) > 0 else triangles[:, ::-1])
     except Exception as error:  # trimesh raises what its parsers raise
         if isinstance(error, ContractError) and str(path) in str(error):
             raise

@@ -52,14 +52,14 @@ class Tree(ABC):
         """Read one sample; :class:`ContractError` names the file that is damaged."""
 
 
-def find_root(name: str, data_dir: Path | None, mark: str, download: str) -> Path:
-    """``data_dir``, or the folder ``name`` in it: the one that holds ``mark``.
+def find_root(names: Sequence[str], data_dir: Path | None, mark: str, download: str) -> Path:
+    """``data_dir``, or a folder of one of these ``names`` in it: the one that holds ``mark``.
 
     Raises :class:`FileNotFoundError` that says what to fetch: ``download``.
     """
     if data_dir is None:
-        raise FileNotFoundError(f"{name} needs a folder (--cpas-data).\n{download}")
-    for root in (data_dir, data_dir / name):
+        raise FileNotFoundError(f"a folder is needed (--cpas-data).\n{download}")
+    for root in (data_dir, *(data_dir / name for name in names)):
         if (root / mark).exists():
             return root
     raise FileNotFoundError(f"no {mark} in {data_dir}.\n{download}")

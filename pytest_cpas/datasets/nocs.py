@@ -118,8 +118,8 @@ class NocsTree(Tree):
         for frame, objects in listed:
             for item in objects:
                 if item.model not in left_out:
-                    ref = SampleRef(f"{frame}/{item.mask_id}", item.category, frame.split("/")[0])
-                    scan.add(ref, item)
+                    ref_id, scene = f"{frame}/{item.mask_id}", frame.split("/")[0]
+                    scan.add(SampleRef(ref_id, item.category, scene, item.model), item)
 
     def _files(self, frame: str) -> dict[str, str]:
         """What makes a frame: paths by kind, described for people."""
@@ -132,12 +132,16 @@ class NocsTree(Tree):
 
     def _scan_frame(self, scan: Scan, frame: str) -> list[tuple[str, list[Listed]]]:
         text = scan.read(f"{self.frames}/{frame}_meta.txt").decode("utf-8", "replace")
-        scan.read(_truth_path(frame))
+        self._scan_truth(scan, frame)
         try:
             return [(frame, self._read_meta(frame, text))]
         except ContractError as error:
             scan.damaged.append(str(error))
             return []
+
+    def _scan_truth(self, scan: Scan, frame: str) -> None:
+        """Add to the digest what the truth comes from."""
+        scan.read(_truth_path(frame))
 
     def _read_meta(self, frame: str, text: str) -> list[Listed]:
         # a model's name becomes part of a path
@@ -257,7 +261,7 @@ class Real275(NocsTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
-        root = find_root("real275", data_dir, self.frames, _DOWNLOAD)
+        root = find_root(("real275",), data_dir, self.frames, _DOWNLOAD)
         super().__init__("real275", root, REAL_CAMERA)
 
 

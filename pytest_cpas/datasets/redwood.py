@@ -73,7 +73,7 @@ class Redwood75(Tree):
         annotations cannot be read.
         """
         super().__init__(
-            "redwood75", find_root("redwood75", data_dir, "annotations.json", _DOWNLOAD)
+            "redwood75", find_root(("redwood75",), data_dir, "annotations.json", _DOWNLOAD)
         )
         self._mesh = functools.cache(self._read_mesh)
 
@@ -121,7 +121,7 @@ class Redwood75(Tree):
                 raise ContractError(f"{where}: pose {index} lacks one of {', '.join(keys)}")
             for key in ("rgb_file", "depth_file"):
                 below(self.root, pose[key], f"{where}, pose {index}")
-            ref = SampleRef(f"{sequence}/{index}", category, sequence)
+            ref = SampleRef(f"{sequence}/{index}", category, sequence, sequence)
             samples.append((ref, pose))
         return samples
 

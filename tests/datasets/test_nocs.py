@@ -23,11 +23,11 @@ EXTENTS_NOCS = np.array([0.1, 0.2, 0.3])
 
 def test_samples_are_listed_and_read(tree):
     data = Real275(tree)
-    assert [(s.id, s.category, s.scene) for s in data.samples] == [
-        ("scene_1/0000/1", "bowl", "scene_1"),
-        ("scene_1/0000/5", "mug", "scene_1"),
-        ("scene_1/0001/1", "bowl", "scene_1"),
-        ("scene_1/0001/5", "mug", "scene_1"),
+    assert [(s.id, s.category, s.scene, s.model) for s in data.samples] == [
+        ("scene_1/0000/1", "bowl", "scene_1", "bowl_b"),
+        ("scene_1/0000/5", "mug", "scene_1", "mug_a"),
+        ("scene_1/0001/1", "bowl", "scene_1", "bowl_b"),
+        ("scene_1/0001/5", "mug", "scene_1", "mug_a"),
     ]
     assert (data.missing, data.damaged) == ([], [])
     sample = data.load(data.samples[1])
