@@ -126,7 +126,7 @@ class FittedTree(NocsTree):
         except ContractError as error:
             return error
         found = [depth[ids == item.mask_id] for item in objects]
-        return [(np.count_nonzero(values), values.max(initial=0.0)) for values in found]
+        return [(int(np.count_nonzero(v)), float(v.max(initial=0))) for v in found]
 
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about a sample, fitted to its NOCS map."""
