@@ -13,7 +13,7 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -80,10 +80,14 @@ class Header:
 
 @dataclass(frozen=True)
 class Results:
-    """What a results file holds: rows by sample, and errors of samples without a row."""
+    """What a results file holds: rows by sample, and errors of samples without a row.
+
+    ``refs`` has both kinds of samples.
+    """
 
     path: Path
     header: Header
+    refs: Mapping[str, SampleRef]
     rows: Mapping[str, Row]
     errors: Mapping[str, str]
     size: int  # bytes up to the end of the last whole line
@@ -101,6 +105,7 @@ def read_results(path: Path) -> Results:
     except OSError as error:
         raise ResultsError(f"{path}: cannot be read ({error})") from error
     header: Header | None = None
+    refs: dict[str, SampleRef] = {}
     rows: dict[str, Row] = {}
     errors: dict[str, str] = {}
     size = 0
@@ -118,20 +123,21 @@ def read_results(path: Path) -> Results:
                 if value["format"] != FORMAT:
                     raise ValueError(f"format {value['format']}, this version reads {FORMAT}")
                 header = Header(**value["header"])
-            elif "row" in value:
-                row = Row(**value["row"])
-                rows[row.sample] = row
-                errors.pop(row.sample, None)
+                continue
+            ref = SampleRef(*value["ref"])
+            refs[ref.id] = ref
+            if "row" in value:
+                rows[ref.id] = Row(ref.id, ref.category, **value["row"])
+                errors.pop(ref.id, None)
             else:
-                sample, message = value["error"]
-                errors[sample] = message
+                errors[ref.id] = value["error"]
         except (ValueError, TypeError, KeyError) as error:
             raise ResultsError(
                 f"{path}, line {number}: --cpas-results of this version did not write it ({error})"
             ) from error
     if header is None:
         raise ResultsError(f"{path}: does not begin with the header of a results file")
-    return Results(path, header, rows, errors, size)
+    return Results(path, header, refs, rows, errors, size)
 
 
 class ResultsFile:
@@ -145,6 +151,7 @@ class ResultsFile:
         part = "" if shard.count == 1 else f"-{shard.index}-of-{shard.count}"
         self.path = folder / f"{run.method}-{run.dataset}{part}.jsonl"
         self.header = Header.of(run, shard)
+        self._refs = {ref.id: astuple(ref) for ref in run.samples}
         self.rows: Mapping[str, Row] = {}
         self._size = 0
         self._file: TextIO | None = None
@@ -178,11 +185,13 @@ class ResultsFile:
 
     def add(self, row: Row) -> None:
         """Append a row."""
-        self._write(_line("row", asdict(row)))
+        values = asdict(row)
+        del values["sample"], values["category"]
+        self._write(_line("row", values, ref=self._refs[row.sample]))
 
     def add_error(self, sample: str, message: str) -> None:
         """Append why a sample has no row; a later run tries it again."""
-        self._write(_line("error", [sample, message]))
+        self._write(_line("error", message, ref=self._refs[sample]))
 
     def _write(self, line: str) -> None:
         if self._file is None:
@@ -212,9 +221,8 @@ class MergedRun(Run):
         header = parts[0].header
         self._rows = {sample: row for part in parts for sample, row in part.rows.items()}
         self._errors = {sample: text for part in parts for sample, text in part.errors.items()}
-        judged = [SampleRef(row.sample, row.category, "") for row in self._rows.values()]
-        unjudged = [SampleRef(sample, "error", "") for sample in self._errors]
-        samples = sorted(judged + unjudged, key=lambda ref: ref.id)
+        refs = [ref for part in parts for ref in part.refs.values()]
+        samples = sorted(refs, key=lambda ref: ref.id)
         super().__init__(
             header.method,
             header.dataset,
