@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Generator
+from collections import defaultdict
+from collections.abc import Generator, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
+
+from pytest_cpas.types import SampleRef
 
 
 class SuiteSession(ABC):
@@ -70,3 +73,60 @@ class SuiteSession(ABC):
         node, found = getattr(report, "cpas_found", (None, None))
         if self.is_controller and node == self._node and found is not None:
             self.collect(found)
+
+
+def grouped(
+    samples: Sequence[SampleRef], granularity: Literal["sample", "scene", "dataset"]
+) -> Iterable[tuple[str, list[SampleRef]]]:
+    """Samples as (name, samples), one group per test item."""
+    if granularity == "sample":
+        return [(f"{ref.category}-{ref.id}", [ref]) for ref in samples]
+    groups: dict[str, list[SampleRef]] = defaultdict(list)
+    for ref in samples:
+        groups[ref.scene if granularity == "scene" else "all"].append(ref)
+    return groups.items()
+
+
+def report_outcome(
+    session: pytest.Session,
+    nodeid: str,
+    outcome: Literal["passed", "failed", "skipped", "xfailed"],
+    message: str,
+) -> None:
+    """Report what is judged after the last item as if it were one.
+
+    Terminal, JUnit and exit code then agree. ``message``: why it did not pass.
+    """
+    longrepr: Any = None
+    if outcome == "failed":
+        longrepr = pytest.ExceptionInfo.from_exception(
+            _raised(pytest.fail.Exception(message, pytrace=False))
+        ).getrepr(style="value")
+    elif outcome != "passed":
+        longrepr = (nodeid.partition("::")[0], 0, message)
+    location = (nodeid.partition("::")[0], None, nodeid.partition("::")[2])
+    session.testscollected += 1
+    hook = session.config.hook
+    hook.pytest_runtest_logstart(nodeid=nodeid, location=location)
+    for when in ("setup", "call", "teardown"):
+        called = when == "call"
+        report = pytest.TestReport(
+            nodeid,
+            location,
+            keywords={},
+            outcome="passed" if not called else "skipped" if outcome == "xfailed" else outcome,
+            longrepr=longrepr if called else None,
+            when=when,
+        )
+        if called and outcome == "xfailed":
+            report.wasxfail = message
+        hook.pytest_runtest_logreport(report=report)
+    hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)
+
+
+def _raised(error: BaseException) -> BaseException:
+    """The error with a traceback, which pytest needs to represent it."""
+    try:
+        raise error
+    except BaseException as caught:
+        return caught

@@ -146,6 +146,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="write the matrix of --cpas-metrics to a .json or .md file (repeatable)",
     )
     group.addoption(
+        "--cpas-check-dataset",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="check a data set: a registered name or package.module:Class (repeatable)",
+    )
+    group.addoption(
+        "--cpas-known-faults",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="known faults of the checked data sets, beside those that ship (repeatable)",
+    )
+    group.addoption(
+        "--cpas-pictures",
+        metavar="DIR",
+        help="with --cpas-check-dataset: draw where the objects' up axes point into DIR",
+    )
+    group.addoption(
         "--cpas-list",
         action="store_true",
         help="print what is registered, and which weights of the methods are there, and exit",
@@ -201,3 +220,7 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_cpas.checks.session import MetricsSession
 
         config.pluginmanager.register(MetricsSession(config), "cpas-metrics-session")
+    if options.cpas_check_dataset:
+        from pytest_cpas.checks.dataset_session import DatasetSession
+
+        config.pluginmanager.register(DatasetSession(config), "cpas-dataset-session")

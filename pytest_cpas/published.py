@@ -57,6 +57,22 @@ def published_sample_counts(dataset: str) -> dict[str, int]:
     }
 
 
+def count_problems(dataset: str, listed: Mapping[str, int], *, partial: bool) -> dict[str, str]:
+    """Per category, what is wrong with how many samples are listed.
+
+    A ``partial`` copy may have fewer than were published. Nothing is wrong where no count is known.
+    """
+    problems = {}
+    for category, expected in published_sample_counts(dataset).items():
+        count = listed.get(category, 0)
+        if count > expected or (count < expected and not partial):
+            incomplete = "" if partial else ", and nothing is missing"
+            problems[category] = (
+                f"{count} samples of {category}{incomplete}; the published data set has {expected}"
+            )
+    return problems
+
+
 def _threshold(line: Mapping[str, str]) -> JointThreshold:
     return JointThreshold(
         rotation_deg=float(line["rotation_deg"]),

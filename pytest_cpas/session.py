@@ -7,8 +7,7 @@ golden tables and reports.
 from __future__ import annotations
 
 import sys
-from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any, Literal
 import pytest
 
 from pytest_cpas import registry
-from pytest_cpas._suite_session import SuiteSession
+from pytest_cpas._suite_session import SuiteSession, report_outcome
 from pytest_cpas.comparison import Verdict, Word, compare
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
@@ -26,7 +25,7 @@ from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.terminal import print_run
 from pytest_cpas.results import ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.snapshot import golden_folder
-from pytest_cpas.types import ContractError, Method, MethodInfo, SampleRef
+from pytest_cpas.types import ContractError, Method, MethodInfo
 
 #: Where an item keeps what it found out: rows, and errors of samples without one.
 FOUND = pytest.StashKey["Found"]()
@@ -54,16 +53,6 @@ class CpasSession(SuiteSession):
         }
         self.verdicts: dict[Run, list[Verdict]] = {}
         self._broken = 0
-
-    def groups(self, run: Run) -> Iterable[tuple[str, list[SampleRef]]]:
-        """The samples of a run as (name, samples), one group per test item."""
-        granularity = self.config.option.cpas_granularity
-        if granularity == "sample":
-            return [(f"{ref.category}-{ref.id}", [ref]) for ref in run.samples]
-        groups: dict[str, list[SampleRef]] = defaultdict(list)
-        for ref in run.samples:
-            groups[ref.scene if granularity == "scene" else "all"].append(ref)
-        return groups.items()
 
     # -- items ------------------------------------------------------------------------------
 
@@ -142,36 +131,17 @@ class CpasSession(SuiteSession):
             return [Verdict(Word.NOT_RECORDED, "all", str(error))]
 
     def _emit(self, session: pytest.Session, run: Run, verdict: Verdict) -> None:
-        """Report a verdict as if it were an item: terminal, JUnit and exit code then agree."""
-        nodeid = f"cpas::golden[{run.method}-{run.dataset}-{verdict.category}]"
-        location = ("cpas", None, nodeid.removeprefix("cpas::"))
+        """Report a verdict as if it were an item."""
         outcome: Literal["passed", "failed", "skipped"] = "passed"
-        longrepr: Any = None
+        message = str(verdict)
         if verdict.failed or (
             verdict.word is Word.NOT_CHECKED and self.config.option.cpas_require_golden
         ):
             outcome = "failed"
-            longrepr = pytest.ExceptionInfo.from_exception(
-                _raised(pytest.fail.Exception(str(verdict), pytrace=False))
-            ).getrepr(style="value")
         elif verdict.word is Word.NOT_CHECKED:
-            outcome, longrepr = "skipped", ("cpas", 0, f"{run.method} on {run.dataset}: {verdict}")
-        session.testscollected += 1
-        hook = self.config.hook
-        hook.pytest_runtest_logstart(nodeid=nodeid, location=location)
-        for when in ("setup", "call", "teardown"):
-            called = when == "call"
-            hook.pytest_runtest_logreport(
-                report=pytest.TestReport(
-                    nodeid,
-                    location,
-                    keywords={},
-                    outcome=outcome if called else "passed",
-                    longrepr=longrepr if called else None,
-                    when=when,
-                )
-            )
-        hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)
+            outcome, message = "skipped", f"{run.method} on {run.dataset}: {verdict}"
+        nodeid = f"cpas::golden[{run.method}-{run.dataset}-{verdict.category}]"
+        report_outcome(session, nodeid, outcome, message)
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The tables and verdicts."""
@@ -196,14 +166,6 @@ def cpas_session(config: pytest.Config) -> CpasSession:
     if not isinstance(session, CpasSession):
         raise pytest.UsageError("the suite of pytest-cpas runs with --cpas-method and the like")
     return session
-
-
-def _raised(error: BaseException) -> BaseException:
-    """The error with a traceback, which pytest needs to represent it."""
-    try:
-        raise error
-    except BaseException as caught:
-        return caught
 
 
 def _resolve_runs(config: pytest.Config) -> list[Run]:

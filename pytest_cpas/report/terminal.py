@@ -23,9 +23,9 @@ def print_run(
     for line in run.missing:
         terminal.write_line(f"missing: {line}")
     if rows and (len(rows) <= _FEW or terminal.config.get_verbosity() > 0):
-        _print_table(terminal, _sample_lines(rows))
+        print_table(terminal, _sample_lines(rows))
     if rows:
-        _print_table(terminal, _precision_lines(rows))
+        print_table(terminal, _precision_lines(rows))
     failed = sum(row.failure is not None for row in rows)
     answers = f", {failed} without an answer" if failed else ""
     total = sum(run.listed.values())
@@ -82,7 +82,8 @@ def _number(value: float | None) -> str:
     return "n/a" if value is None or not math.isfinite(value) else f"{value:.3f}"
 
 
-def _print_table(terminal: pytest.TerminalReporter, lines: Sequence[Sequence[str]]) -> None:
+def print_table(terminal: pytest.TerminalReporter, lines: Sequence[Sequence[str]]) -> None:
+    """Print rows of cells, the first column to the left, the others to the right."""
     widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
     for line in lines:
         first = line[0].ljust(widths[0])

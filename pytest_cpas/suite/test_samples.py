@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from pytest_cpas._suite_session import grouped
 from pytest_cpas.evaluation import Run, SampleError
-from pytest_cpas.published import published_sample_counts
+from pytest_cpas.published import count_problems
 from pytest_cpas.session import FOUND, Found, cpas_session
 from pytest_cpas.types import SampleRef
 
@@ -19,7 +20,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             [
                 pytest.param(run, refs, id=f"{run.method}-{run.dataset}-{name}")
                 for run in session.runs
-                for name, refs in session.groups(run)
+                for name, refs in grouped(run.samples, metafunc.config.option.cpas_granularity)
             ],
         )
     else:
@@ -32,15 +33,9 @@ def test_listing(run: Run) -> None:
     """Every sample can be listed, and a complete copy lists what was published."""
     if run.damaged:
         pytest.fail("\n".join(run.damaged), pytrace=False)
-    published = published_sample_counts(run.dataset)
-    for category, count in run.listed.items():
-        expected = published.get(category, count)
-        if count > expected or (count < expected and not run.missing):
-            pytest.fail(
-                f"{run.dataset}: {count} samples of {category}, and nothing is missing; the"
-                f" published data set has {expected}",
-                pytrace=False,
-            )
+    problems = count_problems(run.dataset, run.listed, partial=bool(run.missing))
+    if problems:
+        pytest.fail(f"{run.dataset}: " + "\n".join(problems.values()), pytrace=False)
 
 
 def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:
