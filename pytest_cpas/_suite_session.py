@@ -13,6 +13,8 @@ import pytest
 
 from pytest_cpas.types import SampleRef
 
+Outcome = Literal["passed", "failed", "skipped", "xfailed"]
+
 
 class SuiteSession(ABC):
     """Collects one module of :mod:`pytest_cpas.suite`, and brings what its items found home.
@@ -90,7 +92,7 @@ def grouped(
 def report_outcome(
     session: pytest.Session,
     nodeid: str,
-    outcome: Literal["passed", "failed", "skipped", "xfailed"],
+    outcome: Outcome,
     message: str,
 ) -> None:
     """Report what is judged after the last item as if it were one.

@@ -11,12 +11,12 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 
 from pytest_cpas import registry
-from pytest_cpas._suite_session import SuiteSession, report_outcome
+from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
 from pytest_cpas.comparison import Verdict, Word, compare
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
@@ -132,7 +132,7 @@ class CpasSession(SuiteSession):
 
     def _emit(self, session: pytest.Session, run: Run, verdict: Verdict) -> None:
         """Report a verdict as if it were an item."""
-        outcome: Literal["passed", "failed", "skipped"] = "passed"
+        outcome: Outcome = "passed"
         message = str(verdict)
         if verdict.failed or (
             verdict.word is Word.NOT_CHECKED and self.config.option.cpas_require_golden

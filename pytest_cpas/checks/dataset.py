@@ -206,11 +206,11 @@ def check_meshes_closed(survey: Survey) -> list[Problem] | None:
                 return ""
             return "its triangles are wound inside out (the volume is negative)"
         holes = [
-            f"the {side} is missing ({share:.0%} of what is seen from there is the inside)"
+            f"it has no closed {side}: {share:.0%} of what is seen from there is its inside"
             for side, share in sorted(mesh.inside.items(), key=lambda item: -item[1])
             if share >= MIN_HOLE
         ]
-        return "; ".join([*holes, f"{mesh.open_edges} edges belong to one triangle only"])
+        return "; ".join([*holes, f"{mesh.open_edges} edges are open"])
 
     return _of_meshes(survey, fault)
 

@@ -12,7 +12,7 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas._open3d import import_open3d
-from pytest_cpas._suite_session import SuiteSession, report_outcome
+from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.dataset_facts import ImageFacts, MeshFacts, SampleFacts, Survey
 from pytest_cpas.checks.dataset_verdicts import (
@@ -32,6 +32,13 @@ __all__ = ["FOUND", "Checked", "DatasetSession"]
 
 #: Where an item keeps the survey of its own samples.
 FOUND = pytest.StashKey[Survey]()
+
+_OUTCOMES: dict[Word, Outcome] = {
+    Word.PASSED: "passed",
+    Word.FAILED: "failed",
+    Word.KNOWN: "xfailed",
+    Word.NOT_APPLICABLE: "skipped",
+}
 
 
 @dataclass(eq=False)
@@ -116,12 +123,7 @@ class DatasetSession(SuiteSession):
                 report_outcome(
                     session,
                     f"cpas-dataset::{name}[{checked.survey.name}]",
-                    {
-                        Word.PASSED: "passed",
-                        Word.FAILED: "failed",
-                        Word.KNOWN: "xfailed",
-                        Word.NOT_APPLICABLE: "skipped",
-                    }[verdict.word],
+                    _OUTCOMES[verdict.word],
                     verdict.message or "there is nothing that it could judge",
                 )
 
