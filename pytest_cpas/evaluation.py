@@ -30,6 +30,7 @@ from pytest_cpas.metrics.precision import (
 from pytest_cpas.metrics.surfaces import SAMPLE_COUNT, Surface, surface_errors
 from pytest_cpas.types import (
     Array,
+    Camera,
     ContractError,
     Dataset,
     GroundTruth,
@@ -163,10 +164,14 @@ class Run(ABC):
     ``samples`` are those selected; ``listed`` counts per category what there was to select from.
     ``missing`` and ``damaged`` as for a data set. ``identity`` holds what must agree for two runs
     to be comparable, ``provenance`` what else should be known of this one. ``seeds`` is how often
-    each sample is judged.
+    each sample is judged. ``info`` is what the method declares, None where only rows are left.
+    ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
     """
 
     seeds = 1
+    info: MethodInfo | None = None
+    quick_truth = True
+    focal: float | None = None
 
     provenance: Mapping[str, str] = {
         "platform": f"{platform.system()} {platform.machine()}",
@@ -223,6 +228,10 @@ class MethodRun(Run):
         self._method, self._dataset = method, dataset
         self._weights, self._device, self._seed = weights, device, seed
         self.seeds = seeds
+        self.info = method.info
+        self.quick_truth = hasattr(dataset, "truth")
+        camera = getattr(dataset, "camera", None)
+        self.focal = camera.fx if isinstance(camera, Camera) else None
         absent: frozenset[str] = getattr(dataset, "absent", frozenset())
         present = [s for s in dataset.samples if s.id not in absent]
         known = [s for s in present if s.category in method.info.categories]
@@ -256,6 +265,12 @@ class MethodRun(Run):
         except Exception as error:
             return error
         return None
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about one sample; raises :class:`ContractError` if it is damaged."""
+        read = getattr(self._dataset, "truth", None)
+        truth: GroundTruth = self._dataset.load(ref).truth if read is None else read(ref)
+        return truth
 
     def judge(self, ref: SampleRef) -> Row:
         """Read, predict, validate, measure."""

@@ -194,7 +194,7 @@ class StoredRun(Run):
             selection=selection,
             identity={"data": digest.hexdigest()},
         )
-        self._info = MethodInfo(
+        self.info: MethodInfo = MethodInfo(
             self.method,
             categories=CATEGORIES,
             needs=frozenset(),
@@ -226,7 +226,7 @@ class StoredRun(Run):
                 rows[ref.id] = error
         truths = [truth for truth, _ in pairs.values()]
         predictions = [prediction for _, prediction in pairs.values()]
-        for row in measure(list(pairs), truths, predictions, self._info):
+        for row in measure(list(pairs), truths, predictions, self.info):
             rows[row.sample] = row
         return rows
 

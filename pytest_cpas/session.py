@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,9 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
-from pytest_cpas.comparison import Verdict, Word, compare
+from pytest_cpas.comparison import GOOD, Verdict, Word, compare
+from pytest_cpas.diagnosis import Finding
+from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
 from pytest_cpas.predictions import StoredRun
@@ -52,6 +54,7 @@ class CpasSession(SuiteSession):
             run: dict(self.files[run].rows) if run in self.files else {} for run in self.runs
         }
         self.verdicts: dict[Run, list[Verdict]] = {}
+        self.findings: dict[Run, list[Finding]] = {}
         self._broken = 0
 
     # -- items ------------------------------------------------------------------------------
@@ -101,7 +104,11 @@ class CpasSession(SuiteSession):
 
     def _judge_runs(self, session: pytest.Session) -> None:
         for run in self.runs:
-            self.verdicts[run] = self._verdicts(run, self._ordered(run))
+            rows = self._ordered(run)
+            self.findings[run] = diagnose_run(run, rows, expected_precision(self.golden, run))
+            self.verdicts[run] = [
+                _explained(verdict, self.findings[run]) for verdict in self._verdicts(run, rows)
+            ]
             for verdict in self.verdicts[run]:
                 self._emit(session, run, verdict)
 
@@ -149,6 +156,9 @@ class CpasSession(SuiteSession):
             return
         for run in self.runs:
             print_run(terminalreporter, run, self._ordered(run), self.verdicts.get(run, []))
+            for finding in self.findings.get(run, []):
+                for line in finding.lines():
+                    terminalreporter.write_line(line, yellow=True)
         if self.update:
             known = {run.method for run in self.runs} | {
                 entry.name for entry in registry.registered("method")
@@ -158,6 +168,19 @@ class CpasSession(SuiteSession):
                     f"orphaned golden table: no method {folder.parent.name} is registered or was"
                     f" judged; if it is gone, remove {folder}"
                 )
+
+
+def _explained(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
+    """A bad verdict with what explains it."""
+    if verdict.word in GOOD:
+        return verdict
+    lines = [
+        f"\n  {line}"
+        for finding in findings
+        if "all" in (finding.category, verdict.category) or finding.category == verdict.category
+        for line in finding.lines()
+    ]
+    return replace(verdict, details=verdict.details + "".join(lines))
 
 
 def cpas_session(config: pytest.Config) -> CpasSession:

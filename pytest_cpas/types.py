@@ -551,7 +551,8 @@ class Dataset(Protocol):
     content that the samples are judged by. ``missing``: what a partial copy lacks, one line each.
     ``damaged``: what could not even be listed, one line each; the run fails over it. A data set may
     have a set ``absent`` of ids that are listed but whose images are not there, so that only their
-    truth is known: no method is judged on them.
+    truth is known: no method is judged on them; ``truth(ref)``, which reads the truth of a sample
+    without its images; and ``camera``, if one took all images.
     """
 
     name: str

@@ -140,6 +140,12 @@ class OtherFrames(Perfect):
         return Prediction((Hypothesis(rotation, translation, EXTENTS[[2, 1, 0]], points=points),))
 
 
+class Undeclared(OtherFrames):
+    """... and says nothing about it."""
+
+    info = Perfect.info
+
+
 class Broken(Perfect):
     """Breaks the contract at sample 5 in the way its subclass says."""
 

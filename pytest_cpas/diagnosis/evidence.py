@@ -77,7 +77,7 @@ class Evidence:
                 np.array(translations).reshape(-1, 3),
                 np.array(extents).reshape(-1, 3),
             ),
-            symmetries,
+            _shared(symmetries),
             camera,
             axes,
             Counter(unanswered or {}) + Counter(names[~usable].tolist()),
@@ -180,6 +180,17 @@ class Evidence:
             ious = symmetric_iou(*_box(found, members), *_box(self.truth, members), symmetry)
             correct[members] = ious >= BOX_IOU
         return correct
+
+
+def _shared(symmetries: Sequence[Symmetry]) -> list[Symmetry]:
+    """The symmetries, equal ones as one object."""
+    known: dict[tuple[bytes, bytes, bool], Symmetry] = {}
+    return [
+        known.setdefault(
+            (s.rotations.tobytes(), b"" if s.axis is None else s.axis.tobytes(), s.sphere), s
+        )
+        for s in symmetries
+    ]
 
 
 def finite(values: Array) -> Bools:

@@ -44,6 +44,12 @@ _TIE = 0.005
 #: Other samples' truths that each answer is compared with to see what chance does.
 _SHUFFLES = 8
 
+#: Samples among which explanations of all samples are searched; the best one is judged on all.
+_SEARCHED = 4000
+
+#: An explanation, and the names of those that are as good.
+_Best = tuple[tuple[Mistake, ...], tuple[str, ...]]
+
 Part = Literal["pose", "position", "rotation", "box"]
 
 _MEASURES: dict[Part, str] = {
@@ -75,7 +81,8 @@ class Finding:
         """In words: what is wrong, what undoing it repairs, what to change."""
         where = "" if self.category == "all" else f"{self.category}: "
         words = ", and ".join(mistake.words for mistake in self.mistakes)
-        cure = " and ".join(mistake.cure for mistake in self.mistakes)
+        cures = [mistake.cure for mistake in self.mistakes]
+        cure = "both" if len(set(cures)) < len(cures) else " and ".join(cures)
         share = 100 * self.after.precision
         lines = [
             f"{where}{words}: with {cure} {share:.0f} % of the samples are correct"
@@ -165,8 +172,14 @@ def _correct(
 
 def _explain(evidence: Evidence, part: Part, category: str) -> Finding | None:
     """The best explanation of a part of the poses, if it is believable."""
-    candidates = list(_candidates(evidence, part, fitted=category != "all"))
-    return _believed(evidence, part, category, candidates, REPAIRED)
+    if not len(evidence):
+        return None
+    searched = evidence
+    if category == "all":  # with numbers fitted per sample there are fewer samples
+        searched = evidence.part(np.arange(len(evidence)) % (len(evidence) // _SEARCHED + 1) == 0)
+    candidates = list(_candidates(searched, part, fitted=category != "all"))
+    best = _best(candidates, len(searched))
+    return _believed(evidence, part, category, best, len(candidates), REPAIRED)
 
 
 def _explain_flips(evidence: Evidence, category: str) -> Finding | None:
@@ -174,25 +187,20 @@ def _explain_flips(evidence: Evidence, category: str) -> Finding | None:
     for mistake in part_flips(evidence):
         correct = _correct(evidence, mistake.undo(evidence.answers), "pose")
         candidates.append(((mistake,), int(correct.sum())))
-    return _believed(evidence, "pose", category, candidates, _FLIPPED)
+    best = _best(candidates, len(evidence))
+    return _believed(evidence, "pose", category, best, len(candidates), _FLIPPED)
 
 
 def _believed(
-    evidence: Evidence,
-    part: Part,
-    category: str,
-    candidates: Sequence[tuple[tuple[Mistake, ...], int]],
-    repaired: float,
+    evidence: Evidence, part: Part, category: str, best: _Best, tried: int, repaired: float
 ) -> Finding | None:
-    """The best of the candidates, if it is believable and repairs that share."""
-    if not len(evidence) or not candidates:
-        return None
-    mistakes, ties = _best(candidates, len(evidence))
+    """The best of so many that were tried, if it is believable and repairs that share."""
+    mistakes, ties = best
     before = _correct(evidence, evidence.answers, part)
     answers = _undone(evidence.answers, mistakes)
     after = _correct(evidence, answers, part)
     chance = _chance(evidence, answers, part)
-    if not _believable(before, after, chance, len(candidates), repaired):
+    if not _believable(before, after, chance, tried, repaired):
         return None
     return Finding(
         category,
@@ -204,9 +212,7 @@ def _believed(
     )
 
 
-def _best(
-    candidates: Sequence[tuple[tuple[Mistake, ...], int]], size: int
-) -> tuple[tuple[Mistake, ...], tuple[str, ...]]:
+def _best(candidates: Sequence[tuple[tuple[Mistake, ...], int]], size: int) -> _Best:
     """The explanation that makes most of ``size`` samples correct, and those that are as good.
 
     A mistake more must be worth it, a fitted number twice.

@@ -1,0 +1,97 @@
+"""When a run is diagnosed, and on which samples."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from pytest_cpas.diagnosis.evidence import BOX_IOU, Evidence
+from pytest_cpas.diagnosis.search import Finding, diagnose
+from pytest_cpas.estimates import decode_estimates
+from pytest_cpas.evaluation import THRESHOLDS, Row, Run, outcomes, tabulate
+from pytest_cpas.golden import GoldenError, find_golden
+from pytest_cpas.published import published_cells
+from pytest_cpas.types import ContractError, GroundTruth
+
+#: A run is diagnosed if a precision is below this share of the golden one, ...
+FAR_BELOW = 0.5
+
+#: ... or, without a golden table, if the coarser pose precision of a category is below this, ...
+FLOOR = 0.25
+
+#: ... or if among the samples with a correct pose the boxes are correct in less than this share.
+BOX_FLOOR = 0.75
+
+#: Samples whose truth is read anew where that means reading images too.
+MOST_TRUTHS = 500
+
+#: Golden precision by category and threshold.
+Expected = Mapping[tuple[str, str], float]
+
+
+def expected_precision(golden: Path, run: Run) -> Expected:
+    """What the recorded table of a run, else the paper's, leads to expect; empty without one."""
+    try:
+        table = find_golden(golden, run.method, run.dataset)
+    except GoldenError:  # which is a verdict of its own
+        return {}
+    if table is None:
+        cells = published_cells(run.dataset, run.method)
+        return {(cell.category, cell.label): cell.low / cell.total for cell in cells}
+    return {
+        (category, label): count.precision
+        for category, counts in table.table.items()
+        for label, count in counts.items()
+        if count is not None
+    }
+
+
+def is_far_below(rows: Sequence[Row], expected: Expected) -> bool:
+    """Whether rows are so much worse than expected that it is worth asking why."""
+    coarse = THRESHOLDS[0]
+    for category, counts in tabulate(rows).items():
+        for label, count in counts.items():
+            least = FAR_BELOW * expected.get((category, label), 0.0)
+            if not expected and label == coarse.label:
+                least = FLOOR
+            if count is not None and count.precision < least:
+                return True
+    ious = [
+        row.iou
+        for row, outcome in zip(rows, outcomes(rows), strict=True)
+        if row.iou is not None and outcome[0] == "1"
+    ]
+    return sum(iou >= BOX_IOU for iou in ious) < BOX_FLOOR * len(ious)
+
+
+def diagnose_run(run: Run, rows: Sequence[Row], expected: Expected) -> list[Finding]:
+    """What explains that a run is far below what is expected of it; empty if it is not."""
+    info = run.info
+    if info is None or not is_far_below(rows, expected):
+        return []
+    if not run.quick_truth and len(rows) > MOST_TRUTHS:
+        rows = [rows[i * len(rows) // MOST_TRUTHS] for i in range(MOST_TRUTHS)]
+    refs = {ref.id: ref for ref in run.samples}
+    unanswered: Counter[str] = Counter()
+    answered: list[tuple[str, str, GroundTruth]] = []
+    for row in rows:
+        if row.estimate is None:
+            unanswered[row.category] += 1
+            continue
+        try:
+            truth = run.truth(refs[row.sample])
+        except ContractError:  # judged when it was not yet damaged
+            continue
+        if truth is not None:
+            answered.append((row.category, row.estimate, truth))
+    return diagnose(
+        Evidence.of(
+            [category for category, _, _ in answered],
+            decode_estimates([estimate for _, estimate, _ in answered]),
+            [truth for _, _, truth in answered],
+            info,
+            unanswered=unanswered,
+            focal=run.focal,
+        )
+    )
