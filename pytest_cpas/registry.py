@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, Literal
 
 Kind = Literal["method", "dataset", "metric"]
@@ -35,6 +36,8 @@ def registered(kind: Kind) -> list[EntryPoint]:
 def resolve(kind: Kind, name: str) -> Any:
     """What is registered as ``name``, or named as ``package.module:Class``.
 
+    A registered data set named as ``NAME:DIR`` is looked for in ``DIR`` and nowhere else.
+
     Metric implementations are mappings ``METRICS``; ``package.module`` names one as well.
 
     Raises :class:`RegistryError` for an unknown name, an ambiguous one, or an import that fails;
@@ -42,6 +45,9 @@ def resolve(kind: Kind, name: str) -> Any:
     """
     if ":" in name:
         module, _, attribute = name.partition(":")
+        if kind == "dataset" and module in {entry.name for entry in registered(kind)}:
+            make = resolve(kind, module)
+            return lambda data_dir: make(Path(attribute))
         return _load(kind, name, module, attribute, "")
     if kind == "metric" and "." in name:
         return _load(kind, name, name, "METRICS", "")

@@ -47,14 +47,14 @@ def read_rgb(path: Path, camera: Camera) -> NDArray[np.float32]:
     return image[:, :, :3].astype(np.float32) / np.float32(255)
 
 
-def read_depth(path: Path, camera: Camera) -> NDArray[np.float32]:
-    """16-bit millimetres as (H, W) float32 metres, 0 = missing."""
-    image = _read(path, camera, ("I;16", "I;16B"), "16-bit depth in millimetres")
-    return image.astype(np.float32) / np.float32(1000)
+def read_depth(path: Path, camera: Camera, per_metre: float = 1000.0) -> NDArray[np.float32]:
+    """16-bit depth of which ``per_metre`` units are a metre, as (H, W) float32 metres."""
+    image = _read(path, camera, ("I;16", "I;16B"), "16-bit depth")
+    return image.astype(np.float32) / np.float32(per_metre)
 
 
 def read_ids(path: Path, camera: Camera) -> NDArray[np.uint8]:
     """8-bit instance ids (H, W); of a colour image the first channel (CAMERA25)."""
-    image = _read(path, camera, ("L", "P", "RGB", "RGBA"), "8-bit instance ids")
+    image = _read(path, camera, ("1", "L", "P", "RGB", "RGBA"), "8-bit instance ids")
     ids: NDArray[np.uint8] = (image if image.ndim == 2 else image[:, :, 0]).astype(np.uint8)
     return ids

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from pytest_cpas._cache import cache_folder
 from pytest_cpas.datasets._files import names, parse_json, regular
-from pytest_cpas.types import SampleRef
+from pytest_cpas.types import ContractError, SampleRef
 
 #: Seconds. A tree changed so recently may change again without its times telling.
 SETTLED = 2.0
@@ -76,9 +76,17 @@ class Scan:
     def read(self, path: str) -> bytes:
         """A file's bytes, which become part of the digest."""
         self._see(path)
-        content = regular(self.root / path).read_bytes()
+        try:
+            content = regular(self.root / path).read_bytes()
+        except OSError as error:
+            raise ContractError(f"{self.root / path}: cannot be read ({error})") from error
         self._digest.update(content)
         return content
+
+    def hash(self, path: str) -> None:
+        """Make a file part of the digest; if it cannot be read, loading a sample will say so."""
+        with suppress(ContractError):
+            self.read(path)
 
     def read_json(self, path: str) -> dict[str, Any]:
         """A JSON file that holds an object."""

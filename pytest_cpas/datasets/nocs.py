@@ -131,9 +131,9 @@ class NocsTree(Tree):
         return {**files, "ground truth (gts/real_test/*.pkl)": _truth_path(frame)}
 
     def _scan_frame(self, scan: Scan, frame: str) -> list[tuple[str, list[Listed]]]:
-        text = scan.read(f"{self.frames}/{frame}_meta.txt").decode("utf-8", "replace")
-        self._scan_truth(scan, frame)
         try:
+            text = scan.read(f"{self.frames}/{frame}_meta.txt").decode("utf-8", "replace")
+            self._scan_truth(scan, frame)
             return [(frame, self._read_meta(frame, text))]
         except ContractError as error:
             scan.damaged.append(str(error))
@@ -174,7 +174,7 @@ class NocsTree(Tree):
             found = [p for p in (form.format(model=model) for form in self.meshes) if scan.has(p)]
             if found:
                 scan.note(model)
-                scan.read(found[0])
+                scan.hash(found[0])
             elif scan.has(_extents_path(self.frames, model)):
                 scan.missing.append(f"mesh {model}.obj: shape metrics of {count} samples are n/a")
             else:
@@ -243,7 +243,7 @@ class NocsTree(Tree):
         """A model's mesh, if there is one, and its extents, metres."""
         for form in self.meshes:
             path = self.root / form.format(model=model)
-            if path.is_file():
+            if path.exists():
                 mesh = read_mesh(path, NOCS_FROM_SHAPENET.T)
                 low, high = mesh.bounds
                 return mesh, high - low

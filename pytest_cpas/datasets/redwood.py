@@ -22,15 +22,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_cpas.datasets._files import below
 from pytest_cpas.datasets._index import Scan
+from pytest_cpas.datasets._masks import visible
 from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._numbers import numbers, quaternion_rotation
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.datasets.rendering import hidden, render
 from pytest_cpas.types import (
     Camera,
     ContractError,
@@ -87,7 +86,7 @@ class Redwood75(Tree):
                 scan.damaged.append(str(error))
                 continue
             if scan.has(annotation["mesh"]):
-                scan.read(annotation["mesh"])
+                scan.hash(annotation["mesh"])
             for ref, pose in samples:
                 detail = {"mesh": annotation["mesh"], "scale": annotation["scale"], **pose}
                 scan.add(ref, detail)
@@ -157,15 +156,3 @@ def _frame(ref: SampleRef, pose: dict[str, Any]) -> tuple[str, str]:
     """Where a pose's colour and depth image are, below the root."""
     folder = f"{ref.category}/rgbd/{ref.scene}"
     return f"{folder}/rgb/{pose['rgb_file']}", f"{folder}/depth/{pose['depth_file']}"
-
-
-def visible(
-    mesh: Mesh, pose: Pose, depth: NDArray[np.float32], camera: Camera
-) -> NDArray[np.bool_]:
-    """Where (H, W) a posed mesh is seen and nothing was measured in front of it.
-
-    ``depth`` (H, W): measured metres, 0 = missing. A pixel without a measurement counts as seen.
-    """
-    rendered = render([(mesh, pose)], camera).depth
-    mask: NDArray[np.bool_] = (rendered > 0) & ~hidden(rendered, depth)
-    return mask

@@ -120,6 +120,11 @@ def dump(content: object) -> Callable[[Path], None]:
     return lambda path: path.write_bytes(pickle.dumps(content, protocol=4))
 
 
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)  # opening it would wait for ever
+
+
 SCENE = "real_test/scene_1/0000"
 TRUTH = "gts/real_test/results_real_test_scene_1_0000.pkl"
 MESH = "fixed_real_test_obj_models/mug_a.obj"
@@ -139,7 +144,7 @@ MIRROR = np.diag([1.0, 1, -1, 1])[None].repeat(2, 0)
         (f"{SCENE}_depth.png", save(np.ones((240, 320), np.uint16)), "320 x 240 pixels"),
         (f"{SCENE}_mask.png", save(np.ones((240, 320), np.uint8)), "320 x 240 pixels"),
         (f"{SCENE}_mask.png", save(np.full((480, 640), 255, np.uint8)), "mask: empty"),
-        (f"{SCENE}_mask.png", save(np.ones((480, 640), np.uint16)), "expected L"),
+        (f"{SCENE}_mask.png", save(np.ones((480, 640), np.uint16)), "expected 1 or L"),
         (TRUTH, truncate, "not a readable pickle"),
         (TRUTH, dump([]), "holds a list"),
         (TRUTH, dump({}), r"gt_RTs is not an array \(n, 4, 4\)"),
@@ -149,6 +154,9 @@ MIRROR = np.diag([1.0, 1, -1, 1])[None].repeat(2, 0)
         (TRUTH, dump({"gt_RTs": MIRROR}), "determinant -1"),
         (TRUTH, dump({"gt_RTs": np.diag([1.0, 2, 3, 1])[None].repeat(2, 0)}), "not orthonormal"),
         (TRUTH, dump({"gt_RTs": os.getcwd}), "the pickle names posix.getcwd"),
+        (f"{SCENE}_color.png", pipe, "not a regular file"),
+        (f"{SCENE}_depth.png", lambda p: p.write_bytes(b"%!PS\nquit"), "not a readable image"),
+        (MESH, pipe, "not a regular file"),
         (MESH, lambda p: p.write_text(""), "not a readable mesh"),
         (MESH, lambda p: p.write_text("v 0 0 0\nf 1 2 3\n"), "not a readable mesh"),
         (MESH, lambda p: p.write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "NaN"),
@@ -184,6 +192,16 @@ def test_damaged_meta_is_reported_as_damage(tree, text, words):
     (line,) = data.damaged
     assert words in line
     assert "scene_1/0000" in line
+
+
+@pytest.mark.parametrize("file", [f"{SCENE}_meta.txt", TRUTH])
+@pytest.mark.parametrize("damage", [pipe, lambda path: (path.unlink(), path.mkdir())])
+def test_frame_with_something_else_than_files_is_damaged(tree, file, damage):
+    damage(tree / file)
+    data = Real275(tree)
+    assert [s.id for s in data.samples] == ["scene_1/0001/1", "scene_1/0001/5"]
+    (line,) = data.damaged
+    assert "not a regular file" in line
 
 
 def test_damaged_extents_file(tree):

@@ -1,0 +1,120 @@
+"""Data sets whose index holds all that is known of a sample but its images and its mesh."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.datasets._masks import visible
+from pytest_cpas.datasets._meshes import read_mesh
+from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._tree import Tree
+from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.types import (
+    Array,
+    Camera,
+    ContractError,
+    GroundTruth,
+    Mesh,
+    Observation,
+    Pose,
+    Sample,
+    SampleRef,
+    Symmetry,
+)
+
+#: Most meshes kept at a time: the largest data sets have more than fit into memory.
+_MESHES = 64
+
+
+class Record(NamedTuple):
+    """A sample. Paths are below the root, ``None`` where there is none.
+
+    ``camera``: width, height, fx, fy, cx, cy. ``rotation`` (9,), row by row, and ``translation``
+    (3,), metres: object to camera, in the axes of :mod:`pytest_cpas.types`. ``extents`` (3,),
+    metres, or the mesh's box. The mask is where the mask image has ``mask_id``, or is not 0;
+    without an image, the mesh is rendered.
+    """
+
+    rgb: str
+    depth: str
+    camera: list[float]
+    rotation: list[float]
+    translation: list[float]
+    extents: list[float] | None = None
+    mesh: str | None = None
+    mask: str | None = None
+    mask_id: int | None = None
+    depth_per_metre: float = 1000.0
+    symmetry: str | None = None
+
+
+class RecordTree(Tree):
+    """A data set whose samples are listed as a :class:`Record` each."""
+
+    #: Maps the coordinates of the mesh files to ShapeNet axes, metres.
+    mesh_axes: Array | None = None
+
+    def __init__(self, name: str, root: Path) -> None:
+        """List the samples."""
+        super().__init__(name, root)
+        self._mesh = functools.lru_cache(maxsize=_MESHES)(self._read_mesh)
+
+    def load(self, ref: SampleRef) -> Sample:
+        """Read one sample; :class:`ContractError` names the file that is damaged."""
+        record, truth = Record(*self._details[ref.id]), self.truth(ref)
+        width, height, *intrinsics = record.camera
+        camera = Camera(int(width), int(height), *intrinsics)
+        depth = self._read_depth(self.root / record.depth, camera, record.depth_per_metre)
+        observation = Observation(
+            ref.category,
+            self._read_rgb(self.root / record.rgb, camera),
+            depth,
+            self._mask(record, truth, depth, camera),
+            camera,
+        )
+        return Sample(ref, observation, truth)
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about a sample, without its images."""
+        record = Record(*self._details[ref.id])
+        mesh = None if record.mesh is None else self._mesh(record.mesh)
+        if record.extents is not None:
+            extents = numbers(record.extents, (3,), f"{ref.id}: extents")
+        elif mesh is not None:
+            extents = mesh.bounds[1] - mesh.bounds[0]
+        else:
+            raise ContractError(f"{ref.id}: neither extents nor a mesh")
+        rotation = numbers(record.rotation, (3, 3), f"{ref.id}: rotation")
+        translation = numbers(record.translation, (3,), f"{ref.id}: translation")
+        try:
+            pose = Pose(rotation, translation)
+            return GroundTruth(pose, extents, self._symmetry(ref, record), mesh)
+        except ContractError as error:
+            raise ContractError(f"{ref.id}: {error}") from None
+
+    def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
+        return symmetry_of(ref.category)
+
+    def _mask(
+        self, record: Record, truth: GroundTruth, depth: NDArray[np.float32], camera: Camera
+    ) -> NDArray[np.bool_]:
+        if record.mask is not None:
+            ids = self._read_ids(self.root / record.mask, camera)
+            mask = ids > 0 if record.mask_id is None else ids == record.mask_id
+            where = record.mask
+        elif isinstance(truth.surface, Mesh):
+            mask = visible(truth.surface, truth.pose, depth, camera)
+            where = record.depth
+        else:
+            raise ContractError(f"{record.rgb}: neither a mask nor a mesh to render one from")
+        if not mask.any():
+            raise ContractError(f"{self.root / where}: nothing is seen of the object")
+        return mask
+
+    def _read_mesh(self, name: str) -> Mesh:
+        return read_mesh(self.root / name, self.mesh_axes)

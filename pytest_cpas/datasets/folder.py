@@ -1,0 +1,166 @@
+"""A data set of your own: a folder with a table ``samples.csv``, one object in one image a line.
+
+``docs/datasets.md`` describes the columns, with an example.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pytest_cpas.datasets._files import below
+from pytest_cpas.datasets._index import Scan
+from pytest_cpas.datasets._numbers import numbers, quaternion_rotation
+from pytest_cpas.datasets._records import Record, RecordTree
+from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.types import Camera, ContractError, Mesh, SampleRef, Symmetry
+
+_TABLE = "samples.csv"
+
+_CAMERA = ("width", "height", "fx", "fy", "cx", "cy")
+_QUATERNION = ("qx", "qy", "qz", "qw")
+_TRANSLATION = ("tx", "ty", "tz")
+_EXTENTS = ("extent_x", "extent_y", "extent_z")
+_REQUIRED = ("id", "category", "rgb", "depth", *_CAMERA, *_QUATERNION, *_TRANSLATION)
+_OPTIONAL = ("scene", "model", "mask", "mask_id", "depth_unit", *_EXTENTS, "mesh", "symmetry")
+
+_SYMMETRY = re.compile(r"([xyz])(?:/(\d+))?")
+
+
+class Folder(RecordTree):
+    """The data set of a folder, named ``folder-`` and the folder's name."""
+
+    def __init__(self, data_dir: Path | None) -> None:
+        """Read the table in ``data_dir``.
+
+        Raises :class:`FileNotFoundError` if there is none, :class:`ContractError` if it is not
+        such a table; a line that is wrong is in ``damaged``, and the others are listed.
+        """
+        if data_dir is None or not (data_dir / _TABLE).is_file():
+            where = "no folder was given" if data_dir is None else f"{data_dir} has no {_TABLE}"
+            raise FileNotFoundError(
+                f"{where}. Name the folder: --cpas-dataset folder:DIR, with a table DIR/{_TABLE}"
+                f" of the columns {', '.join(_REQUIRED)} (docs/datasets.md)"
+            )
+        name = re.sub(r"[^A-Za-z0-9._-]", "-", data_dir.resolve().name)
+        super().__init__(f"folder-{name}", data_dir)
+
+    def scan(self, scan: Scan) -> None:
+        """List the lines of the table whose files are there."""
+        path = self.root / _TABLE
+        try:
+            lines = csv.DictReader(io.StringIO(scan.read(_TABLE).decode("utf-8-sig")), strict=True)
+            columns = lines.fieldnames or ()
+            table = [(lines.line_num, line) for line in lines]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise ContractError(f"{path}: not a table in UTF-8 with commas ({error})") from error
+        absent = [column for column in _REQUIRED if column not in columns]
+        unknown = [column for column in columns if column not in _REQUIRED + _OPTIONAL]
+        if absent or unknown:
+            raise ContractError(
+                f"{path}: columns lacking: {', '.join(absent) or 'none'}; unknown:"
+                f" {', '.join(unknown) or 'none'}. Expected {', '.join(_REQUIRED)} and, where"
+                f" wanted, {', '.join(_OPTIONAL)}, separated by commas"
+            )
+        ids: set[str] = set()
+        for number, line in table:
+            where = f"{path}, line {number}"
+            try:
+                self._list(scan, line, where, ids)
+            except ContractError as error:
+                text = str(error)
+                scan.damaged.append(text if text.startswith(where) else f"{where}: {text}")
+        for mesh in sorted({line["mesh"] for _, line in table if line.get("mesh")}):
+            if scan.has(mesh):
+                scan.hash(mesh)
+
+    def _list(self, scan: Scan, line: dict[str, str | None], where: str, ids: set[str]) -> None:
+        if None in line or None in line.values():
+            raise ContractError(f"{where}: it has not as many values as there are columns")
+        text = {column: (value or "").strip() for column, value in line.items()}
+        ref = SampleRef(text["id"], text["category"], text.get("scene", ""), text.get("model", ""))
+        if not ref.id or not ref.category or ref.id in ids:
+            raise ContractError(f"{where}: id {ref.id!r} is empty or occurs twice, or no category")
+        ids.add(ref.id)
+        record = self._record(text, where)
+        for kind in ("rgb", "depth", "mask", "mesh"):
+            file = getattr(record, kind)
+            if file is not None and not scan.has(below(Path(), file, where).as_posix()):
+                scan.lacks(f"samples without their {kind} file", f"{ref.id} ({file})")
+                return
+        scan.add(ref, record)
+
+    def _record(self, text: dict[str, str], where: str) -> Record:
+        def values(columns: tuple[str, ...]) -> list[float]:
+            seen = [text.get(column, "") for column in columns]
+            array = numbers(seen, (len(columns),), f"{where}: {', '.join(columns)}")
+            found: list[float] = array.tolist()
+            return found
+
+        camera = values(_CAMERA)
+        if camera[0] != int(camera[0]) or camera[1] != int(camera[1]):
+            raise ContractError(f"{where}: the image size is {camera[0]:g} x {camera[1]:g}")
+        Camera(int(camera[0]), int(camera[1]), *camera[2:])
+        unit = values(("depth_unit",))[0] if text.get("depth_unit") else 0.001
+        if unit <= 0:
+            raise ContractError(f"{where}: depth_unit {unit:g}, expected the metres of one step")
+        extents = values(_EXTENTS) if any(text.get(column) for column in _EXTENTS) else None
+        mesh, mask = text.get("mesh") or None, text.get("mask") or None
+        if extents is None and mesh is None:
+            raise ContractError(f"{where}: neither extents nor a mesh")
+        if mask is None and mesh is None:
+            raise ContractError(f"{where}: neither a mask nor a mesh to render one from")
+        mask_id = text.get("mask_id") or None
+        if mask_id is not None and not (mask_id.isdecimal() and int(mask_id) < 256):
+            raise ContractError(f"{where}: mask_id {mask_id!r}, expected 0 to 255")
+        symmetry = text.get("symmetry") or None
+        if symmetry is not None:
+            parse_symmetry(symmetry)
+        return Record(
+            rgb=text["rgb"],
+            depth=text["depth"],
+            camera=camera,
+            rotation=quaternion_rotation(values(_QUATERNION), f"{where}: qx, qy, qz, qw")
+            .ravel()
+            .tolist(),
+            translation=values(_TRANSLATION),
+            extents=extents,
+            mesh=mesh,
+            mask=mask,
+            mask_id=None if mask_id is None else int(mask_id),
+            depth_per_metre=1 / unit,
+            symmetry=symmetry,
+        )
+
+    def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
+        if record.symmetry is None:
+            return symmetry_of(ref.category)
+        return parse_symmetry(record.symmetry)
+
+    def _read_mesh(self, name: str) -> Mesh:
+        mesh = super()._read_mesh(name)
+        low, high = mesh.bounds
+        offset, diagonal = np.linalg.norm(low + high) / 2, np.linalg.norm(high - low)
+        if offset > 0.01 * diagonal:
+            raise ContractError(
+                f"{self.root / name}: the box's centre is at {(low + high) / 2}, {offset:.3g} m"
+                " off the origin; expected a mesh centred on its box, and poses of that centre"
+            )
+        return mesh
+
+
+def parse_symmetry(text: str) -> Symmetry:
+    """``none``, ``y`` (any angle about y), ``y/4`` (four-fold about y), ``box`` or ``sphere``."""
+    named = {"none": Symmetry.none, "box": Symmetry.box, "sphere": Symmetry.full}
+    if text in named:
+        return named[text]()
+    match = _SYMMETRY.fullmatch(text)
+    if not match or match[2] == "0" or (match[2] and int(match[2]) > math.factorial(6)):
+        raise ContractError(f"symmetry {text!r}, expected none, y, y/4, box or sphere")
+    axis = np.eye(3)["xyz".index(match[1])]
+    return Symmetry.about(axis) if match[2] is None else Symmetry.n_fold(axis, int(match[2]))
