@@ -131,10 +131,9 @@ def subset_in_order(
 
 
 def back_project(
-    rows: NDArray[np.int64], columns: NDArray[np.int64], depth: Image, crop: Crop, camera: Camera
+    v: NDArray[np.int64], u: NDArray[np.int64], depth: Image, camera: Camera
 ) -> NDArray[np.float32]:
-    """Points (N, 3), metres, of pixels within the crop; ``depth`` (H, W) is of the whole image."""
-    v, u = rows + crop.row, columns + crop.column
+    """Points (N, 3), metres, of the image's pixels in rows ``v`` and columns ``u``."""
     z = depth[v, u].astype(float)
     x, y = (u - camera.cx) * z / camera.fx, (v - camera.cy) * z / camera.fy
     return np.stack([x, y, z], axis=-1).astype(np.float32)

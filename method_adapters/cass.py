@@ -87,7 +87,8 @@ class Cass(NetworkMethod[Inputs]):
         rows, columns = depth_pixels(valid, observation.depth, crop)
         picked = subset_in_order(len(rows), generator, POINT_COUNT)
         rows, columns = rows[picked], columns[picked]
-        points = back_project(rows, columns, observation.depth, crop, observation.camera)
+        v, u = rows + crop.row, columns + crop.column
+        points = back_project(v, u, observation.depth, observation.camera)
         return Inputs(
             points @ FLIP.astype(np.float32),
             network_image(observation.rgb, crop),

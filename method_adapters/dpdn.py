@@ -11,8 +11,8 @@ from method_adapters._assets import NOCS_TERMS
 from method_adapters._crop import POINT_COUNT, NoAnswerError
 from method_adapters._depth_filling import fill_depth
 from method_adapters._network_method import Array
-from method_adapters._prior_method import MUG_OFFSET, Inputs, PriorMethod, method_info
-from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, Observation
+from method_adapters._prior_method import Inputs, PriorMethod, method_info, prior_offset
+from pytest_cpas.types import Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
     from torch import nn
@@ -56,7 +56,6 @@ class Dpdn(PriorMethod):
         _, shape, rotation, translation, size = outputs
         if not np.all(size > 0):  # NaN is not
             raise NoAnswerError(f"the estimated size is {size.tolist()}, not positive")
-        points = shape * np.linalg.norm(size)
-        if CATEGORIES[int(inputs.category)] == "mug":
-            points = points - np.array([MUG_OFFSET * np.linalg.norm(size), 0, 0])
+        diagonal = float(np.linalg.norm(size))
+        points = shape * diagonal - prior_offset(int(inputs.category), diagonal)
         return Hypothesis(rotation, translation, size, points=points)

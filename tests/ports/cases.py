@@ -25,31 +25,43 @@ from method_adapters._network_method import NetworkMethod
 from method_adapters._networks.cass import CassNet
 from method_adapters._networks.crnet import CrNet
 from method_adapters._networks.dpdn import DpdnNet
+from method_adapters._networks.rbppose import RbpPoseNet
 from method_adapters._networks.running import Runner
 from method_adapters._networks.sgpa import SgpaNet
 from method_adapters._networks.spd import SpdNet
 from method_adapters.cass import Cass
 from method_adapters.crnet import CrNet as CrNetMethod
 from method_adapters.dpdn import Dpdn
+from method_adapters.rbppose import RbpPose
 from method_adapters.sgpa import Sgpa
 from method_adapters.spd import Spd
 from pytest_cpas.types import Camera, Observation
 
-NETWORKS = {"spd": SpdNet, "crnet": CrNet, "sgpa": SgpaNet, "dpdn": DpdnNet, "cass": CassNet}
+NETWORKS = {
+    "spd": SpdNet,
+    "crnet": CrNet,
+    "sgpa": SgpaNet,
+    "dpdn": DpdnNet,
+    "cass": CassNet,
+    "rbppose": RbpPoseNet,
+}
 METHODS: dict[str, type[NetworkMethod]] = {
     "spd": Spd,
     "crnet": CrNetMethod,
     "sgpa": Sgpa,
     "dpdn": Dpdn,
     "cass": Cass,
+    "rbppose": RbpPose,
 }
+#: Those that measure the size, instead of taking it from the shape.
+MEASURED = ("dpdn", "rbppose")
 #: Relative L2 difference that the order of float32 sums explains.
 TOLERANCE = 1e-5
 # beside other workers, more threads only get in each other's way
 torch.set_num_threads(1)
 
-#: With these weights DPDN estimates positive sizes.
-SEED = 12
+#: With these weights DPDN and RBP-Pose estimate positive sizes.
+SEED, SEEDS = 12, {"rbppose": 27}
 GOLDEN = Path(__file__).with_name("recorded")
 
 
@@ -57,7 +69,7 @@ GOLDEN = Path(__file__).with_name("recorded")
 def network(name: str) -> torch.nn.Module:
     """In evaluation mode, with the recipe's weights."""
     made = NETWORKS[name]()
-    made.load_state_dict(recipe.state_dict(recipe.inventory_of(made), SEED))
+    made.load_state_dict(recipe.state_dict(recipe.inventory_of(made), SEEDS.get(name, SEED)))
     return made.eval()
 
 
@@ -87,6 +99,12 @@ def network_inputs(name: str) -> list[torch.Tensor]:
     arrays = [points, image, choose, np.array([2, 5]), priors()[[2, 5]]]
     if name == "cass":
         arrays = [points[:, :500], image, choose[:, :500], np.array([2, 5])]
+    if name == "rbppose":
+        kept = [random.permutation(n)[: n // 4] for n in (512, 128, 512, 128, 1024, 256, 1024, 256)]
+        pairs = [np.stack(kept[i : i + 4 : 2]) for i in (0, 1, 4, 5)]
+        size = random.uniform(0.05, 0.3, (2, 3))
+        # neighbours among repeated points are a matter of rounding
+        arrays = [points[:, :512], np.array([2, 5]), priors()[[2, 5]], size, *pairs]
     return [torch.from_numpy(x if x.dtype.kind == "i" else x.astype(np.float32)) for x in arrays]
 
 
@@ -116,8 +134,10 @@ def observation(category: str, centre: tuple[float, float], radius: float) -> Ob
     return Observation(category, rgb.astype(np.float32), depth.astype(np.float32), mask, camera)
 
 
-def observations() -> list[Observation]:
+def observations(name: str) -> list[Observation]:
     """At the image's corner with more pixels than points; fewer pixels than points."""
+    if name == "rbppose":  # large enough that the resampled crop repeats no pixel
+        return [observation("mug", (520, 400), 150), observation("can", (300.3, 230.8), 131)]
     return [observation("mug", (620, 463), 32), observation("can", (420.3, 330.8), 14.2)]
 
 
@@ -135,7 +155,8 @@ def write_assets(folder: Path, names: Iterable[str] = METHODS) -> Path:
 def network_sees(method: NetworkMethod) -> list[tuple[np.ndarray, ...]]:
     """What a method makes of each of the observations."""
     generator = np.random.default_rng
-    return [method.prepare(seen, generator(seed)) for seed, seen in enumerate(observations())]
+    batch = observations(method.info.name)
+    return [method.prepare(seen, generator(seed)) for seed, seen in enumerate(batch)]
 
 
 def together(parts: list[tuple[np.ndarray, ...]]) -> list[np.ndarray]:

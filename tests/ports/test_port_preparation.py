@@ -92,7 +92,7 @@ def test_points_and_their_pixels():
     rows, columns = depth_pixels(mask, depth, crop)
     assert len(rows) == 90
     assert (rows[0], columns[0], rows[10], columns[10]) == (10, 10, 12, 10)
-    points = back_project(rows, columns, depth, crop, camera)
+    points = back_project(rows + 240, columns + 320, depth, camera)
     np.testing.assert_allclose(points[10], [10 * 2 / 500, 12 * 2 / 400, 2], rtol=1e-6)
     # 192 / 40 = 4.8 feature pixels per pixel
     assert feature_index(rows, columns, crop)[10] == 57 * 192 + 48
