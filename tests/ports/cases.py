@@ -134,9 +134,10 @@ def observation(category: str, centre: tuple[float, float], radius: float) -> Ob
     return Observation(category, rgb.astype(np.float32), depth.astype(np.float32), mask, camera)
 
 
-def observations(name: str) -> list[Observation]:
-    """At the image's corner with more pixels than points; fewer pixels than points."""
-    if name == "rbppose":  # large enough that the resampled crop repeats no pixel
+def observations(large: bool = False) -> list[Observation]:
+    """At the image's corner with more pixels than points; fewer pixels than points, if not
+    ``large``: then RBP-Pose's resampled crop repeats no pixel."""
+    if large:
         return [observation("mug", (520, 400), 150), observation("can", (300.3, 230.8), 131)]
     return [observation("mug", (620, 463), 32), observation("can", (420.3, 330.8), 14.2)]
 
@@ -155,7 +156,7 @@ def write_assets(folder: Path, names: Iterable[str] = METHODS) -> Path:
 def network_sees(method: NetworkMethod) -> list[tuple[np.ndarray, ...]]:
     """What a method makes of each of the observations."""
     generator = np.random.default_rng
-    batch = observations(method.info.name)
+    batch = observations(large=method.info.name == "rbppose")
     return [method.prepare(seen, generator(seed)) for seed, seen in enumerate(batch)]
 
 

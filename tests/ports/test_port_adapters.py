@@ -50,7 +50,7 @@ def test_loaded_from_files(tmp_path):
 
 
 def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
-    seen = cases.observations(method.info.name)[0]
+    seen = cases.observations()[0]
     predictions = method.predict([seen], 3)
     check_answers(predictions, method.info)
     if method.info.name in cases.MEASURED:
@@ -73,7 +73,7 @@ def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
 
 
 def test_seed_decides_which_points_are_used(method):
-    seen = cases.observations(method.info.name)[0]
+    seen = cases.observations()[0]
     chosen = [method.prepare(seen, np.random.default_rng(seed)).points for seed in (3, 3, 4)]
     assert np.array_equal(chosen[0], chosen[1])
     assert not np.array_equal(chosen[0], chosen[2])
