@@ -88,9 +88,11 @@ def ports(session: nox.Session) -> None:
 
 @nox.session
 def docs_figures(session: nox.Session) -> None:
-    """Draw the pictures of the documentation anew."""
+    """Draw the pictures of the documentation anew; ``-- DATA`` also those of real data."""
     install(session, "-e", ".", "--group", "docs")
     session.run("python", "docs/figures/sample_count_convergence.py", env=os.environ | ENV)
+    if session.posargs:
+        session.run("python", "docs/figures/up_axes.py", *session.posargs, env=ENV)
 
 
 @nox.session

@@ -86,7 +86,7 @@ def check_readable(survey: Survey) -> list[Problem] | None:
 def check_counts(survey: Survey) -> list[Problem] | None:
     """Each category has as many samples as were published; a partial copy has no more."""
     problems = count_problems(survey.name, survey.listed, partial=bool(survey.missing))
-    if not problems and (survey.missing or not published_sample_counts(survey.name)):
+    if not problems and survey.listed != published_sample_counts(survey.name):
         return None
     return [Problem(message, category=name) for name, message in problems.items()]
 
@@ -139,19 +139,20 @@ def check_poses(survey: Survey) -> list[Problem] | None:
 
 
 def _pose_fault(facts: SampleFacts) -> str:
-    if facts.nearest <= 0:
+    if facts.distance <= 0:
         return (
-            f"the object's box reaches to z = {facts.nearest:.3f} m, behind the camera; expected"
-            " z > 0 (x right, y down, z forward). Is the pose camera to object, or in OpenGL axes?"
+            f"its centre is at z = {facts.distance:.3f} m, behind the camera; expected z > 0 (x"
+            " right, y down, z forward). Is the pose camera to object, or in OpenGL axes?"
         )
-    if facts.nearest > MAX_DISTANCE:
+    if facts.distance > MAX_DISTANCE:
         return (
-            f"the object is {facts.nearest:.1f} m away, expected at most {MAX_DISTANCE:.0f} m; is"
-            " the translation in millimetres?"
+            f"its centre is at z = {facts.distance:.1f} m, expected at most {MAX_DISTANCE:.0f} m;"
+            " is the translation in millimetres?"
         )
-    if facts.image is not None and facts.image.centre is not None:
-        width, height, *_ = facts.image.camera
-        u, v = facts.image.centre
+    image = facts.image
+    if image is not None and image.centre is not None and not _camera_fault(image.camera):
+        width, height, *_ = image.camera
+        u, v = image.centre
         # the centre of an object that is cut by the image's edge may lie a little outside
         if not (-0.25 * width < u < 1.25 * width and -0.25 * height < v < 1.25 * height):
             return f"its centre projects to ({u:.0f}, {v:.0f}), outside of {width} x {height}"

@@ -75,17 +75,17 @@ class ImageFacts:
 class SampleFacts:
     """What was measured of one sample; lengths in metres.
 
-    ``up``: the object's up axis in the camera frame. ``nearest``: smallest depth of a corner of the
-    object's box. ``mesh``: key of its mesh, empty if there is none. ``extents_error``: largest
-    difference of a side of the mesh's box from the sample's extents, None without a mesh.
-    ``image``: None where a copy of the data set has the truth without the images.
+    ``up``: the object's up axis in the camera frame. ``distance``: z of the object's centre.
+    ``mesh``: key of its mesh, empty if there is none. ``extents_error``: largest difference of a
+    side of the mesh's box from the sample's extents, None without a mesh. ``image``: None where a
+    copy of the data set has the truth without the images.
     """
 
     sample: str
     category: str
     model: str
     up: tuple[float, float, float]
-    nearest: float
+    distance: float
     mesh: str
     extents_error: float | None
     image: ImageFacts | None
@@ -200,7 +200,7 @@ def measure_sample(ref: SampleRef, truth: GroundTruth, seen: Observation | None)
         category=ref.category,
         model=ref.model,
         up=_triple(truth.pose.rotation[:, 1]),
-        nearest=float(corners[:, 2].min()),
+        distance=float(truth.pose.translation[2]),
         mesh="" if mesh is None else _mesh_key(mesh),
         extents_error=difference,
         image=None if seen is None else _measure_image(seen, truth.pose, mesh, corners),

@@ -126,7 +126,7 @@ def _draw_panel(up: Array) -> Image.Image:
         ("left", -r, 0.0, "rm"),
         ("away", 0.0, -r, "mb"),
         ("towards camera", 0.0, r, "mt"),
-        ("down: rim", 0.0, r * np.sqrt(2), "mt"),
+        ("rim: down", 0.0, r * np.sqrt(2), "mt"),
     ):
         draw.text((middle + x, middle + y), text, _INK, font=font, anchor=anchor)
     return canvas
