@@ -111,3 +111,10 @@ def peers(session: nox.Session) -> None:
     names = session.posargs or ["cpas", "cpas_toolbox", "cutoop", "open3d", "trimesh"]
     session.run("pytest", *(f"--cpas-metrics={name}" for name in names), env=ENV)
     session.run("pytest", "tests/checks", "-k", "recorded_violations_of_peers", env=ENV)
+
+
+@nox.session
+def stress(session: nox.Session) -> None:
+    """Kill 50 runs at random moments; each is resumed and ends with the same table."""
+    install(session, "-e", ".[xdist]")
+    session.run("python", "tests/stress_kills.py", *session.posargs, env=ENV)
