@@ -124,9 +124,10 @@ def _judge(cell: PublishedCell, count: Count, confidence: float) -> tuple[Word, 
     needed = bisect.bisect_left(
         range(count.total), lowest, key=lambda k: Count(k, count.total).interval(confidence)[1]
     )
+    margin = f"worse below {needed}/{count.total}" if needed else "so few cannot show it worse"
     line = (
         f"{cell.label}: {count.correct}/{count.total} correct (interval {100 * low:.1f} to"
-        f" {100 * high:.1f} %), published {100 * lowest:.1f} %; worse below {needed}/{count.total}"
+        f" {100 * high:.1f} %), published {100 * lowest:.1f} %; {margin}"
     )
     if high < lowest:
         return Word.REGRESSED, line

@@ -4,13 +4,15 @@ import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from tables import GOLDEN, REFS, a_run, rows, table
+from tables import GOLDEN, REFS, Fixed, a_run, rows, table
 
 from pytest_cpas.comparison import Word, compare, detectable_flips
 from pytest_cpas.evaluation import Row, outcomes, precision_table
 from pytest_cpas.golden import RunTable
 from pytest_cpas.metrics.precision import FAILED, Count
+from pytest_cpas.types import SampleRef
 
 
 def words(verdicts):
@@ -139,3 +141,55 @@ def test_detectable_flips_are_those_that_show(judged, total):
 def test_detectable_flips_of_a_large_table():
     flips = detectable_flips(300, 16118)
     assert flips == pytest.approx(math.log(0.05) / math.log(1 - 300 / 16118), rel=0.02)
+
+
+REAL275_SIZE = 16118
+
+
+@pytest.fixture(scope="module")
+def large():
+    """A recorded table of REAL275's size, and its run."""
+    refs = [SampleRef(f"s/{i:05d}", "mug", "s") for i in range(REAL275_SIZE)]
+    run = Fixed("m", "d", refs, identity={})
+    angles = np.random.default_rng(0).uniform(0, 20, REAL275_SIZE)
+    rows = [
+        Row(ref.id, "mug", 0.005, float(angle), 0.9, 0.95)
+        for ref, angle in zip(refs, angles, strict=True)
+    ]
+    return run, rows, RunTable.of(run, rows)
+
+
+def test_one_flip_in_16118_is_caught(large):
+    run, rows, golden = large
+    index = next(i for i in range(11000, REAL275_SIZE) if rows[i].rotation_error < 5)
+    changed = [*rows]
+    changed[index] = replace(rows[index], rotation_error=5.01)
+    (verdict,) = compare(golden, RunTable.of(run, changed))
+    assert verdict.word is Word.REGRESSED
+    assert f"lost: s/{index:05d} (" in verdict.details
+    assert verdict.details.count("s/") == 2  # at two thresholds, no other sample
+
+
+def test_part_shows_a_change_of_the_size_that_it_states(large):
+    """In the stated share of random parts, and less often when the change is smaller."""
+    _, _, golden = large
+    rng = np.random.default_rng(1)
+    part = rng.choice(REAL275_SIZE, 300, replace=False)
+    names = list(golden.samples)
+    some = replace(golden, samples={names[i]: golden.samples[names[i]] for i in part})
+    (verdict,) = compare(golden, some)
+    assert verdict.word is Word.NOT_CHECKED
+    stated = int(verdict.details.split("A change of ")[1].split()[0])
+    for flips, bounds in ((stated, (0.94, 0.96)), (stated // 3, (0.5, 0.8))):
+        shown = [
+            bool(set(rng.choice(REAL275_SIZE, flips, replace=False)) & set(part))
+            for _ in range(2000)
+        ]
+        assert bounds[0] < np.mean(shown) < bounds[1]
+    broken = dict(some.samples)
+    name = names[part[17]]
+    broken[name] = replace(broken[name], outcome="0000")
+    before = golden.samples[name].outcome
+    (verdict,) = compare(golden, replace(some, samples=broken))
+    assert verdict.word is (Word.REGRESSED if "1" in before else Word.NOT_CHECKED)
+    assert (name in verdict.details) == ("1" in before)

@@ -160,6 +160,13 @@ def test_method_that_cannot_be_loaded_is_tried_once(recorded):
     assert all("(try 1)" in line for line in told)
 
 
+@pytest.mark.parametrize(("how", "workers"), [((), 1), (("-n2",), 2)], ids=str)
+def test_method_is_loaded_once_per_process(recorded, pytester, how, workers):
+    assert recorded("CountsLoads", "--cpas-require-golden", *how).ret == 0
+    loads = (pytester.path / "loads").read_text().split()
+    assert len(loads) == len(set(loads)) <= workers
+
+
 def test_wrong_number_of_answers(cpas):
     result = cpas("WrongLength")
     assert result.ret == 1
