@@ -40,14 +40,14 @@ def below(folder: Path, name: object, source: str) -> Path:
     return folder / relative
 
 
-def parse_json(path: Path, content: bytes) -> dict[str, Any]:
-    """The object that a JSON file holds."""
+def parse_json(path: Path, content: bytes, kind: type = dict) -> Any:
+    """The object, or what else of ``kind``, that a JSON file holds."""
     try:
         parsed = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise ContractError(
             f"{path}: not readable JSON ({error}); is it truncated? Fetch it again"
         ) from error
-    if not isinstance(parsed, dict):
-        raise ContractError(f"{path}: holds a {type(parsed).__name__}, expected an object")
+    if not isinstance(parsed, kind):
+        raise ContractError(f"{path}: holds a {type(parsed).__name__}, expected a {kind.__name__}")
     return parsed

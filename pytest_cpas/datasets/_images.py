@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +14,12 @@ from pytest_cpas.datasets._files import regular
 from pytest_cpas.types import Camera, ContractError
 
 
-def _read(path: Path, camera: Camera, modes: tuple[str, ...], what: str) -> NDArray[np.generic]:
-    """Decode, once mode and size are known to be the right ones."""
+@contextmanager
+def _opened(path: Path) -> Generator[Image.Image]:
     try:
         # some of Pillow's other formats start programs
         with Image.open(regular(path), formats=("PNG", "JPEG")) as image:
-            if image.mode not in modes:
-                raise ContractError(
-                    f"{path}: image mode is {image.mode}, expected {' or '.join(modes)} ({what})"
-                )
-            if image.size != (camera.width, camera.height):
-                raise ContractError(
-                    f"{path}: {image.width} x {image.height} pixels, but the camera has"
-                    f" {camera.width} x {camera.height}"
-                )
-            return np.asarray(image)
+            yield image
     except (
         OSError,
         SyntaxError,
@@ -39,6 +32,27 @@ def _read(path: Path, camera: Camera, modes: tuple[str, ...], what: str) -> NDAr
         raise ContractError(
             f"{path}: not a readable image ({error}); it is damaged or truncated, fetch it again"
         ) from error
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height, without decoding the image."""
+    with _opened(path) as image:
+        return image.size
+
+
+def _read(path: Path, camera: Camera, modes: tuple[str, ...], what: str) -> NDArray[np.generic]:
+    """Decode, once mode and size are known to be the right ones."""
+    with _opened(path) as image:
+        if image.mode not in modes:
+            raise ContractError(
+                f"{path}: image mode is {image.mode}, expected {' or '.join(modes)} ({what})"
+            )
+        if image.size != (camera.width, camera.height):
+            raise ContractError(
+                f"{path}: {image.width} x {image.height} pixels, but the camera has"
+                f" {camera.width} x {camera.height}"
+            )
+        return np.asarray(image)
 
 
 def read_rgb(path: Path, camera: Camera) -> NDArray[np.float32]:

@@ -90,7 +90,8 @@ class Scan:
 
     def read_json(self, path: str) -> dict[str, Any]:
         """A JSON file that holds an object."""
-        return parse_json(self.root / path, self.read(path))
+        content: dict[str, Any] = parse_json(self.root / path, self.read(path))
+        return content
 
     def weigh(self, path: str) -> None:
         """Add a file's path and size, which are had without reading it, to the digest."""

@@ -92,10 +92,11 @@ def check(
     angle: float = 0.01,
     distance: float = 1e-5,
     mesh: bool = True,
+    category: str | None = None,
 ) -> GroundTruth:
     """That a loaded sample is this object of the frame: within degrees, and metres."""
     item, observed, truth = frame.objects[index], sample.observation, sample.truth
-    assert observed.category == item.category
+    assert observed.category == (category or item.category)
     assert observed.camera == frame.camera
     np.testing.assert_array_equal(observed.mask, frame.mask(index))
     np.testing.assert_allclose(observed.depth, frame.millimetres / 1000, atol=1e-6)

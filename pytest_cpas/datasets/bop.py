@@ -1,0 +1,291 @@
+"""Any data set in BOP format: known objects instead of categories.
+
+::
+
+    DIR/SPLIT/SCENE/rgb/IIIIII.png (or .jpg), depth/IIIIII.png, mask_visib/IIIIII_GGGGGG.png
+    DIR/SPLIT/SCENE/scene_camera.json    per image cam_K and depth_scale (to millimetres)
+    DIR/SPLIT/SCENE/scene_gt.json        per image a list of obj_id, cam_R_m2c, cam_t_m2c
+    DIR/SPLIT/SCENE/scene_gt_info.json   per image a list with visib_fract
+    DIR/models_eval/ (or models/, models_cad/): obj_NNNNNN.ply, models_info.json; millimetres
+    DIR/test_targets_bop19.json          of a test split, the images and objects to be judged
+
+from ``docs/bop_datasets_format.md`` of thodan/bop_toolkit (2018; with the names that its JSON
+release of 2019 gave the files) and what reads and writes it today. Images that are gray only
+(ITODD) are not read.
+
+An object is a category: ``obj_000001``. Objects of which less than a tenth is visible are left out,
+as in BOP's evaluation. Our object frame has BOP's axes, whatever is up, and its origin in the
+centre of the model's box: BOP's is close to it, but not always in it. The symmetries are those of
+``models_info.json``, without the shifts that they may hold.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pytest_cpas.datasets._files import natural, parse_json, regular
+from pytest_cpas.datasets._images import image_size
+from pytest_cpas.datasets._index import Scan
+from pytest_cpas.datasets._meshes import read_mesh
+from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._records import Record, RecordTree
+from pytest_cpas.types import Array, Camera, ContractError, Mesh, Pose, SampleRef, Symmetry
+
+#: Objects of which a smaller part is visible are not judged (BOP Challenge 2019).
+_LEAST_VISIBLE = 0.1
+
+_MODELS = ("models_eval", "models", "models_cad")
+
+_HOW = """\
+A data set in BOP format is named with its folder, --cpas-dataset bop:DIR, or with one of its \
+splits, bop:DIR/SPLIT. DIR has models_eval/ or models/ with models_info.json, and splits such as \
+test/ with scenes 000001/, ... (https://bop.felk.cvut.cz/datasets)"""
+
+
+class Model(NamedTuple):
+    """An object: centre (3,) and side lengths (3,) of its box, metres, and its symmetry."""
+
+    centre: Array
+    extents: Array
+    symmetry: Symmetry
+
+
+class Bop(RecordTree):
+    """One split of a data set in BOP format."""
+
+    def __init__(self, data_dir: Path | None) -> None:
+        """Find the split: ``data_dir`` itself, or the one test split in it.
+
+        Raises :class:`FileNotFoundError` that says what is expected, :class:`ContractError` if the
+        models' description cannot be read.
+        """
+        root, self.split = find_split(data_dir)
+        self._models_info = find_models(root)
+        self._models, self._damaged_models = read_models(root / self._models_info)
+        name = re.sub(r"[^A-Za-z0-9._-]", "-", f"bop-{root.resolve().name}-{self.split}")
+        super().__init__(name, root)
+
+    def scan(self, scan: Scan) -> None:
+        """List the annotated objects that are seen well enough."""
+        scan.read(self._models_info)
+        scan.damaged += self._damaged_models
+        targets = self._targets(scan)
+        for scene in sorted(scan.names(self.split), key=natural):
+            if not scene.isdecimal():
+                continue
+            try:
+                self._scan_scene(scan, scene, targets)
+            except ContractError as error:
+                scan.damaged.append(str(error))
+        for number in sorted(self._models):
+            if scan.has(self._mesh_path(number)):
+                scan.hash(self._mesh_path(number))
+
+    def _targets(self, scan: Scan) -> set[tuple[int, int, int]] | None:
+        """The (scene, image, object) to be judged; None for all."""
+        file = "test_targets_bop19.json"
+        if not self.split.startswith("test") or not scan.has(file):
+            return None
+        try:
+            listed = parse_json(self.root / file, scan.read(file), list)
+            return {(t["scene_id"], t["im_id"], t["obj_id"]) for t in listed}
+        except (TypeError, KeyError) as error:
+            raise ContractError(
+                f"{self.root / file}: expected a list of scene_id, im_id and obj_id ({error!r})"
+            ) from error
+
+    def _scan_scene(
+        self, scan: Scan, scene: str, targets: set[tuple[int, int, int]] | None
+    ) -> None:
+        folder = f"{self.split}/{scene}"
+        lacks = [f for f in ("scene_gt", "scene_camera") if not scan.has(f"{folder}/{f}.json")]
+        for file in lacks:
+            scan.lacks(f"scenes without {file}.json", scene)
+        if lacks:
+            return
+        truths = scan.read_json(f"{folder}/scene_gt.json")
+        cameras = scan.read_json(f"{folder}/scene_camera.json")
+        info = f"{folder}/scene_gt_info.json"
+        infos = scan.read_json(info) if scan.has(info) else {}
+        size: tuple[int, int] | None = None
+        for key in sorted(truths, key=natural):
+            where = f"{self.root / folder}: image {key}"
+            with _damage(scan, where):
+                found = self._image(scan, folder, key, cameras.get(key))
+                if found is None:
+                    continue
+                size = size or image_size(self.root / found[0])
+                frame = _frame(*found, cameras[key], size)
+                for index, truth in enumerate(_list(truths[key])):
+                    with _damage(scan, f"{where}, object {index}"):
+                        number = self._object(truth)
+                        wanted = targets is None or (int(scene), int(key), number) in targets
+                        if wanted and _visible(infos.get(key), index) >= _LEAST_VISIBLE:
+                            ref_id = f"{scene}/{int(key):06d}/{index}"
+                            self._add(scan, frame, ref_id, number, truth)
+
+    def _object(self, truth: Any) -> int:
+        number = truth.get("obj_id") if isinstance(truth, dict) else None
+        if number not in self._models:
+            raise ContractError(f"obj_id {number!r} is not in {self._models_info}")
+        return int(number)
+
+    def _image(self, scan: Scan, folder: str, key: str, camera: Any) -> tuple[str, str] | None:
+        if not key.isdecimal() or not isinstance(camera, dict):
+            raise ContractError("not an image number with an entry in scene_camera.json")
+        stem = f"{int(key):06d}"
+        rgb = [p for p in (f"{folder}/rgb/{stem}.{e}" for e in ("png", "jpg")) if scan.has(p)]
+        depth = f"{folder}/depth/{stem}.png"
+        if not rgb:
+            scan.lacks("images without colour (rgb/)", f"{folder}/{stem}")
+        if not scan.has(depth):
+            scan.lacks("images without depth (depth/)", f"{folder}/{stem}")
+        return (rgb[0], depth) if rgb and scan.has(depth) else None
+
+    def _add(
+        self, scan: Scan, frame: Record, ref_id: str, number: int, truth: dict[str, Any]
+    ) -> None:
+        scene, image, index = ref_id.split("/")
+        model, mesh = self._models[number], self._mesh_path(number)
+        mask = f"{self.split}/{scene}/mask_visib/{image}_{int(index):06d}.png"
+        has_mask, has_mesh = scan.has(mask), scan.has(mesh)
+        if not has_mask and not has_mesh:
+            scan.lacks("objects with neither mask (mask_visib/) nor model", ref_id)
+            return
+        rotation = numbers(truth.get("cam_R_m2c"), (3, 3), "cam_R_m2c")
+        translation = numbers(truth.get("cam_t_m2c"), (3,), "cam_t_m2c") / 1000
+        pose = Pose(rotation, translation + rotation @ model.centre)
+        record = frame._replace(
+            rotation=pose.rotation.ravel().tolist(),
+            translation=pose.translation.tolist(),
+            extents=model.extents.tolist(),
+            mesh=mesh if has_mesh else None,
+            mask=mask if has_mask else None,
+        )
+        name = object_name(number)
+        scan.add(SampleRef(ref_id, name, scene, name), record)
+
+    def _mesh_path(self, number: int) -> str:
+        return f"{self._models_info.rpartition('/')[0]}/{object_name(number)}.ply"
+
+    def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
+        return self._models[object_number(ref.category)].symmetry
+
+    def _read_mesh(self, name: str) -> Mesh:
+        mesh = read_mesh(self.root / name)
+        centre = self._models[object_number(Path(name).stem)].centre
+        return Mesh(mesh.vertices / 1000 - centre, mesh.triangles)
+
+
+def object_name(number: int) -> str:
+    """The category of an object."""
+    return f"obj_{number:06d}"
+
+
+def object_number(name: str) -> int:
+    """The number of an object, from its category."""
+    return int(name.removeprefix("obj_"))
+
+
+def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:
+    """The objects of a ``models_info.json`` by number, and what is wrong with the others."""
+    models, damaged = {}, []
+    for key, info in parse_json(path, regular(path).read_bytes()).items():
+        try:
+            if not key.isdecimal() or not isinstance(info, dict):
+                raise ContractError("expected a number, and min_x, size_x, ...")
+            models[int(key)] = _model(info)
+        except ContractError as error:
+            damaged.append(f"{path}: object {key}: {error}")
+    return models, damaged
+
+
+def _model(info: dict[str, Any]) -> Model:
+    """An entry of ``models_info.json``, whose lengths are millimetres."""
+    low = numbers([info.get(f"min_{axis}") for axis in "xyz"], (3,), "min_x, min_y, min_z") / 1000
+    size = numbers([info.get(f"size_{axis}") for axis in "xyz"], (3,), "size_x, size_y, size_z")
+    if (size <= 0).any():
+        raise ContractError(f"size is {size.tolist()}, expected positive millimetres")
+    discrete = _list(info.get("symmetries_discrete") or [])
+    rotations = [np.eye(3)]
+    rotations += [numbers(s, (4, 4), "symmetries_discrete")[:3, :3] for s in discrete]
+    axes = [
+        numbers(s.get("axis") if isinstance(s, dict) else s, (3,), "symmetries_continuous")
+        for s in _list(info.get("symmetries_continuous") or [])
+    ]
+    symmetry = (
+        Symmetry.full()  # two axes generate all rotations
+        if len(axes) > 1
+        else Symmetry(np.stack(rotations), axes[0] if axes else None)
+    )
+    return Model(low + size / 2000, size / 1000, symmetry)
+
+
+@contextmanager
+def _damage(scan: Scan, where: str) -> Generator[None]:
+    try:
+        yield
+    except ContractError as error:
+        scan.damaged.append(f"{where}: {error}")
+
+
+def _frame(rgb: str, depth: str, entry: dict[str, Any], size: tuple[int, int]) -> Record:
+    """What the objects of an image share."""
+    matrix = numbers(entry.get("cam_K"), (3, 3), "cam_K").tolist()
+    camera = [matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2]]
+    Camera(*size, *camera)
+    scale = float(numbers(entry.get("depth_scale", 1), (1,), "depth_scale")[0])
+    if scale <= 0:
+        raise ContractError(f"depth_scale {scale:g}, expected millimetres of one step")
+    return Record(rgb, depth, [*size, *camera], [], [], depth_per_metre=1000 / scale)
+
+
+def _list(value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise ContractError(f"a {type(value).__name__}, expected a list")
+    return value
+
+
+def _visible(infos: Any, index: int) -> float:
+    """Which part of an object is visible; all of it where nothing is said."""
+    try:
+        return float(infos[index]["visib_fract"])
+    except (TypeError, KeyError, IndexError, ValueError):
+        return 1.0
+
+
+def find_models(root: Path) -> str:
+    """The ``models_info.json`` below ``root`` that BOP's evaluation uses."""
+    for name in _MODELS:
+        if (root / name / "models_info.json").is_file():
+            return f"{name}/models_info.json"
+    raise FileNotFoundError(f"{root} has no models_info.json in its models.\n{_HOW}")
+
+
+def find_split(data_dir: Path | None) -> tuple[Path, str]:
+    """The data set's folder and the split that ``data_dir`` names."""
+    if data_dir is None or not data_dir.is_dir():
+        raise FileNotFoundError(f"no folder {data_dir or 'was given'}.\n{_HOW}")
+
+    def is_split(folder: Path) -> bool:
+        return folder.is_dir() and any(
+            scene.name.isdecimal() and scene.is_dir() for scene in folder.iterdir()
+        )
+
+    if is_split(data_dir):
+        folder = data_dir.resolve()
+        return folder.parent, folder.name
+    splits = sorted(folder.name for folder in data_dir.iterdir() if is_split(folder))
+    tests = [name for name in splits if name.startswith("test")]
+    if "test" in tests:
+        return data_dir, "test"
+    if len(tests) != 1:
+        found = ", ".join(splits) or "none"
+        raise FileNotFoundError(f"{data_dir}: splits are {found}; name one of them.\n{_HOW}")
+    return data_dir, tests[0]
