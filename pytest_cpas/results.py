@@ -8,6 +8,7 @@ error.
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import zlib
@@ -15,7 +16,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from pytest_cpas.evaluation import Row, Run, SampleError
 from pytest_cpas.types import SampleRef
@@ -154,7 +155,7 @@ class ResultsFile:
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
         self.rows: Mapping[str, Row] = {}
         self._size = 0
-        self._file: TextIO | None = None
+        self._file: io.RawIOBase | None = None
         if self.path.exists():
             found = read_results(self.path)
             differences = _differences(found.header, self.header)
@@ -169,7 +170,7 @@ class ResultsFile:
         """Start writing: a new file with its header, or after the last whole line."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("a", encoding="utf-8", newline="")
+            self._file = self.path.open("ab", buffering=0)
             self._file.truncate(self._size)
             if self._size == 0:
                 self._write(_line("header", asdict(self.header), format=FORMAT))
@@ -196,8 +197,15 @@ class ResultsFile:
     def _write(self, line: str) -> None:
         if self._file is None:
             raise RuntimeError(f"{self.path} is not open")
-        self._file.write(line)
-        self._file.flush()
+        rest = line.encode()
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            raise ResultsError(
+                f"{self.path}: cannot be written ({error}); what it holds is good, so the same"
+                " command goes on from there once it can"
+            ) from error
 
 
 def _differences(found: Header, expected: Header) -> list[str]:

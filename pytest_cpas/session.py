@@ -67,18 +67,19 @@ class CpasSession(SuiteSession):
         return self.runs.index(run), asdict(item.stash[FOUND])
 
     def collect(self, found: Any) -> None:
-        """Collect rows, and keep them on disk if asked to."""
+        """Collect rows, and keep them on disk if asked to; a disk that is full ends the run."""
         index, content = found
         run = self.runs[index]
-        file = self.files.get(run)
-        for values in content["rows"]:
-            row = Row(**values)
-            self.rows[run][row.sample] = row
-            if file:
-                file.add(row)
-        for sample, message in content["errors"]:
-            if file:
-                file.add_error(sample, message)
+        rows = [Row(**values) for values in content["rows"]]
+        self.rows[run] |= {row.sample: row for row in rows}
+        if file := self.files.get(run):
+            try:
+                for row in rows:
+                    file.add(row)
+                for sample, message in content["errors"]:
+                    file.add_error(sample, message)
+            except ResultsError as error:
+                pytest.exit(str(error))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """On the controller: collect, and count what failed."""
@@ -98,6 +99,8 @@ class CpasSession(SuiteSession):
                 for file in self.files.values():
                     files.enter_context(file)
                 return (yield)
+        except ResultsError as error:
+            pytest.exit(str(error))
         finally:
             if not isinstance(sys.exception(), KeyboardInterrupt):
                 self._judge_runs(session)

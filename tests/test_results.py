@@ -195,8 +195,34 @@ def test_every_damage_is_noticed(recorded, pytester):
 def test_folder_that_cannot_be_written(recorded, pytester):
     (pytester.path / "file").write_text("")
     result = recorded("Perfect", "--cpas-results=file/out")
-    assert result.ret != 0
-    assert "cannot be written" in result.stdout.str() + result.stderr.str()
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    output = result.stdout.str() + result.stderr.str()
+    assert "cannot be written" in output
+    assert "Traceback" not in output
+
+
+def test_full_disk_ends_the_run_and_loses_nothing(recorded, pytester):
+    """A limit on the size of files stands for the disk: writing fails half-way through a line."""
+    whole = recorded("Perfect", "--cpas-require-golden")
+    names = ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
+    pytester.makeconftest(
+        """
+        import resource
+        def pytest_runtestloop():
+            resource.setrlimit(resource.RLIMIT_FSIZE, (3000, resource.RLIM_INFINITY))
+        """
+    )
+    result = pytester.runpytest_subprocess(*RUN, *names)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    output = result.stdout.str() + result.stderr.str()
+    assert "cannot be written ([Errno 27] File too large); what it holds is good" in output
+    assert "Traceback" not in output
+    (path,) = (pytester.path / "out").iterdir()
+    assert not path.read_bytes().endswith(b"\n")
+    assert 0 < len(read_results(path).rows) < 12
+    pytester.makeconftest("")
+    resumed = recorded("Perfect", "--cpas-results=out", "--cpas-require-golden")
+    assert (resumed.ret, table(resumed)) == (0, table(whole))
 
 
 SLOW = """
