@@ -22,7 +22,14 @@ from scipy.spatial.transform import Rotation
 
 from method_adapters._icp_evidence import Evidence, TooLittleEvidenceError
 from method_adapters._icp_prior import Prior
-from pytest_cpas.types import CATEGORIES, Hypothesis, MethodInfo, Observation, Prediction
+from pytest_cpas.types import (
+    CATEGORIES,
+    EQUIVARIANCES,
+    Hypothesis,
+    MethodInfo,
+    Observation,
+    Prediction,
+)
 
 Array = NDArray[np.float64]
 
@@ -73,6 +80,7 @@ class Icp:
         needs=frozenset({"depth"}),
         gives=frozenset({"extents", "shape"}),
         licence="MIT",
+        equivariances=frozenset(EQUIVARIANCES),
     )
 
     def load(self, assets: Path | None, device: str) -> None:

@@ -65,6 +65,10 @@ class SampleError(Exception):
     """A sample could not be judged: damaged data, a method that raised, a broken contract."""
 
 
+class MethodError(Exception):
+    """A method cannot be loaded."""
+
+
 @dataclass(frozen=True)
 class Row:
     """The errors of one sample.
@@ -226,8 +230,8 @@ class MethodRun(Run):
         Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row.
         """
         self._method, self._dataset = method, dataset
-        self._weights, self._device, self._seed = weights, device, seed
-        self.seeds = seeds
+        self._weights, self._device = weights, device
+        self.seed, self.seeds = seed, seeds
         self.info = method.info
         self.quick_truth = hasattr(dataset, "truth")
         camera = getattr(dataset, "camera", None)
@@ -266,6 +270,27 @@ class MethodRun(Run):
             return error
         return None
 
+    @property
+    def unloaded(self) -> Method:
+        """The method, loaded or not."""
+        return self._method
+
+    def loaded(self) -> Method:
+        """The method, ready; :class:`MethodError` if it cannot be loaded."""
+        if self._load_error is not None:
+            raise MethodError(f"the method cannot be loaded: {self._load_error}")
+        return self._method
+
+    def fresh(self) -> Method:
+        """Another instance of the method, loaded."""
+        made: Method = type(self._method)()
+        made.load(self._weights, self._device)
+        return made
+
+    def read(self, ref: SampleRef) -> Sample:
+        """One sample; :class:`ContractError` if it is damaged."""
+        return self._dataset.load(ref)
+
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample; raises :class:`ContractError` if it is damaged."""
         read = getattr(self._dataset, "truth", None)
@@ -276,19 +301,22 @@ class MethodRun(Run):
         """Read, predict, validate, measure."""
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         try:
-            sample = self._dataset.load(ref)
+            sample = self.read(ref)
         except ContractError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
-        if self._load_error is not None:
-            raise SampleError(f"{where}: the method cannot be loaded: {self._load_error}")
+        try:
+            method = self.loaded()
+        except MethodError as error:
+            raise SampleError(f"{where}: {error}") from None
         row, *repeats = [
-            self._judge(ref, sample, self._seed + further, where) for further in range(self.seeds)
+            self._judge(method, ref, sample, self.seed + further, where)
+            for further in range(self.seeds)
         ]
         return replace(row, repeats=" ".join(outcomes(repeats))) if repeats else row
 
-    def _judge(self, ref: SampleRef, sample: Sample, seed: int, where: str) -> Row:
+    def _judge(self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str) -> Row:
         try:
-            answers = self._method.predict([sample.observation], seed)
+            answers = method.predict([sample.observation], seed)
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:

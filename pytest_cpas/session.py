@@ -17,6 +17,8 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
+from pytest_cpas.checks import CONTRACT, ContractResult
+from pytest_cpas.checks.contract_stage import ContractStage
 from pytest_cpas.comparison import GOOD, Verdict, Word, compare
 from pytest_cpas.diagnosis import Finding
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
@@ -35,10 +37,12 @@ FOUND = pytest.StashKey["Found"]()
 
 @dataclass
 class Found:
-    """The rows of the samples that an item judged, and (sample, message) of those it could not."""
+    """The rows of the samples that an item judged, and (sample, message) of those it could not;
+    or the :meth:`ContractResult.plain` of a contract check."""
 
     rows: list[Row] = field(default_factory=list)
     errors: list[tuple[str, str]] = field(default_factory=list)
+    contract: dict[str, Any] | None = None
 
 
 class CpasSession(SuiteSession):
@@ -54,10 +58,24 @@ class CpasSession(SuiteSession):
             run: dict(self.files[run].rows) if run in self.files else {} for run in self.runs
         }
         self.verdicts: dict[Run, list[Verdict]] = {}
+        self.stages = _contract_stages(self.runs)
+        self.contract: dict[Run, dict[str, ContractResult]] = {run: {} for run in self.runs}
         self.findings: dict[Run, list[Finding]] = {}
         self._broken = 0
 
     # -- items ------------------------------------------------------------------------------
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """See for which runs the contract is checked; -k can leave that out."""
+        for item in list(items):
+            callspec: Any = getattr(item, "callspec", None)
+            if item.path != self._suite or not callspec or "check" not in callspec.params:
+                continue
+            if self.stages:
+                self.stages[callspec.params["run"]].asked = True
+            else:  # what pytest makes of no values for a parameter
+                items.remove(item)
 
     def found(self, item: pytest.Item) -> Any:
         """The run's index and what the item found; None for items that judge no sample."""
@@ -80,6 +98,9 @@ class CpasSession(SuiteSession):
                     file.add_error(sample, message)
             except ResultsError as error:
                 pytest.exit(str(error))
+        if content["contract"]:
+            result = ContractResult(**content["contract"])
+            self.contract[run][result.check] = result
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """On the controller: collect, and count what failed."""
@@ -135,6 +156,8 @@ class CpasSession(SuiteSession):
         try:
             if self._broken or run.damaged:
                 raise GoldenError(f"{self._broken} items failed; a golden table needs none to")
+            if run in self.stages and len(self.contract[run]) < len(CONTRACT):
+                raise GoldenError("the contract of the method was not checked; leave out -k")
             folder = record(self.golden, RunTable.of(run, rows))
             return [Verdict(Word.RECORDED, "all", str(folder))]
         except GoldenError as error:
@@ -158,7 +181,8 @@ class CpasSession(SuiteSession):
         if not self.is_controller:
             return
         for run in self.runs:
-            print_run(terminalreporter, run, self._ordered(run), self.verdicts.get(run, []))
+            rows, verdicts = self._ordered(run), self.verdicts.get(run, [])
+            print_run(terminalreporter, run, rows, verdicts, self.contract[run].values())
             for finding in self.findings.get(run, []):
                 for line in finding.lines():
                     terminalreporter.write_line(line, yellow=True)
@@ -246,6 +270,13 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     if len(set(names)) < len(names):
         raise pytest.UsageError(f"the same method and data set twice: {names}")
     return runs
+
+
+def _contract_stages(runs: Sequence[Run]) -> dict[Run, ContractStage]:
+    try:
+        return {run: ContractStage(run) for run in runs if isinstance(run, MethodRun)}
+    except ContractError as error:
+        raise pytest.UsageError(str(error)) from error
 
 
 def _results_files(config: pytest.Config, runs: Sequence[Run]) -> dict[Run, ResultsFile]:

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "CATEGORIES",
+    "EQUIVARIANCES",
     "Asset",
     "Camera",
     "ContractError",
@@ -480,6 +481,11 @@ class Asset:
     licence: str
 
 
+#: Changes of the image whose effect on the answer geometry dictates: the image shifted, at half its
+#: resolution, seen from further away, mirrored, rolled about the optical axis by 90 degrees.
+EQUIVARIANCES = ("shift", "resolution", "distance", "mirror", "roll")
+
+
 @dataclass(frozen=True)
 class MethodInfo:
     """What a method declares about itself; the checks that are demanded of it follow from it.
@@ -487,7 +493,9 @@ class MethodInfo:
     ``needs``: the parts of an observation that it uses. ``gives``: the parts of a hypothesis
     beside the pose that it estimates. ``object_frame`` and ``camera_frame``: the axes in which
     its hypotheses are expressed (the harness converts). ``deterministic``: the same seed gives
-    the same answer.
+    the same answer. ``tolerance``: by how much, in metres and radians, answers may differ that
+    must be the same: what batch size and threads do to sums of floats. ``equivariances``: what a
+    method claims to follow, see :data:`EQUIVARIANCES`.
     """
 
     name: str
@@ -499,11 +507,14 @@ class MethodInfo:
     camera_frame: Literal["opencv", "opengl"] = "opencv"
     deterministic: bool = True
     assets: tuple[Asset, ...] = ()
+    tolerance: float = 1e-5
+    equivariances: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         for name, allowed in (
             ("needs", {"rgb", "depth"}),
             ("gives", {"extents", "shape", "score"}),
+            ("equivariances", set(EQUIVARIANCES)),
         ):
             seen = frozenset(getattr(self, name))
             if not seen <= allowed:
@@ -521,6 +532,11 @@ class MethodInfo:
                     f"method {self.name!r}: {name} is {getattr(self, name)!r}, expected one of"
                     f" {choices}"
                 )
+        if not 0 <= self.tolerance < 0.1:
+            raise ContractError(
+                f"method {self.name!r}: tolerance is {self.tolerance}, expected metres and radians"
+                " that float noise explains, below 0.1"
+            )
         if not self.categories:
             raise ContractError(f"method {self.name!r}: it declares no categories")
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.name):

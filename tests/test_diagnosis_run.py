@@ -41,7 +41,9 @@ def test_no_rows_are_not_far_below():
 
 
 def test_regression_is_explained_in_terminal_and_junit(recorded, pytester):
-    result = recorded("Undeclared", "--junitxml=out.xml", "--cpas-require-golden")
+    # its contract already says that the camera is another one, and stops there
+    judged = ("-k", "not test_contract", "--cpas-require-golden")
+    result = recorded("Undeclared", "--junitxml=out.xml", *judged)
     assert result.ret == 1
     result.stdout.fnmatch_lines(
         [
@@ -55,7 +57,7 @@ def test_regression_is_explained_in_terminal_and_junit(recorded, pytester):
 
 
 def test_missing_table_is_explained_as_well(cpas):
-    result = cpas("Undeclared", "--cpas-require-golden")
+    result = cpas("Undeclared", "-k", "not test_contract", "--cpas-require-golden")
     assert result.ret == 1
     result.stdout.fnmatch_lines([f"*{CAUSE}*"])
 

@@ -150,7 +150,8 @@ def test_done_samples_are_not_judged_again(recorded, pytester):
     # a method that would break every sample finds nothing left to do
     (path,) = (pytester.path / "out").iterdir()
     assert len(read_results(path).rows) == 12
-    assert recorded("WrongLength", "--cpas-results=out").ret == 0
+    assert recorded("WrongLength", "--cpas-results=out", "-k", "test_sample").ret == 0
+    assert recorded("WrongLength", "--cpas-results=out").ret == 1  # its contract is looked at
 
 
 def test_errors_are_tried_again(recorded, pytester):

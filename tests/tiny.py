@@ -5,6 +5,7 @@ be wrong in exactly the way that a test wants.
 """
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,9 @@ class Tiny:
         rgb = np.zeros((6, 8, 3), np.float32)
         rgb[0, 0, 0] = index / 255
         depth = np.full((6, 8), 0.8, np.float32)
-        observation = Observation(ref.category, rgb, depth, depth > 0, CAMERA)
+        mask = np.zeros((6, 8), bool)
+        mask[2:4, 3:6] = True
+        observation = Observation(ref.category, rgb, depth, mask, CAMERA)
         return Sample(ref, observation, truth(index))
 
 
@@ -106,11 +109,11 @@ class Refuses(Perfect):
 
 
 class OnlyMugs(Perfect):
-    info = MethodInfo("perfect", ("mug",), frozenset(), frozenset({"extents", "shape"}), "MIT")
+    info = replace(Perfect.info, categories=("mug",))
 
 
 class OnlyPose(Perfect):
-    info = MethodInfo("only-pose", CATEGORIES, frozenset(), frozenset(), "MIT")
+    info = MethodInfo("only-pose", CATEGORIES, frozenset({"rgb"}), frozenset(), "MIT")
 
     def answer(self, index: int) -> Prediction:
         pose = truth(index).pose
@@ -123,7 +126,7 @@ class OtherFrames(Perfect):
     info = MethodInfo(
         "perfect",
         CATEGORIES,
-        frozenset(),
+        frozenset({"rgb"}),
         frozenset({"extents", "shape"}),
         "MIT",
         object_frame="nocs",
@@ -216,6 +219,31 @@ class Wobbles(Perfect):
     """Wrong by chance, which the seed decides, in every other sample."""
 
     def predict(self, batch: list[Observation], seed: int) -> list[Prediction]:
-        index = round(float(batch[0].rgb[0, 0, 0]) * 255)
+        return [self.by_chance(round(float(o.rgb[0, 0, 0]) * 255), seed) for o in batch]
+
+    def by_chance(self, index: int, seed: int) -> Prediction:
         lucky = index % 4 < 2 or np.random.default_rng([seed, index]).random() < 0.5
-        return [self.answer(index) if lucky else Prediction.failed("no luck")]
+        return self.answer(index) if lucky else Prediction.failed("no luck")
+
+
+class Millimetres(Perfect):
+    def answer(self, index: int) -> Prediction:
+        (best,) = super().answer(index).hypotheses
+        return Prediction((replace(best, translation=1000 * best.translation),))
+
+
+class Inexact(Perfect):
+    """Noise from a generator of its own: half a millimetre, never the same."""
+
+    def load(self, assets: Path | None, device: str) -> None:
+        super().load(assets, device)
+        self.generator = np.random.default_rng(0)
+
+    def answer(self, index: int) -> Prediction:
+        (best,) = super().answer(index).hypotheses
+        moved = best.translation + 5e-4 * self.generator.random(3)
+        return Prediction((replace(best, translation=moved),))
+
+
+class DeclaredInexact(Inexact):
+    info = replace(Perfect.info, deterministic=False)

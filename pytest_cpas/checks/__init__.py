@@ -1,6 +1,6 @@
-"""Conformance of metric implementations: properties that every implementation must keep.
+"""Plain functions that check, usable without pytest.
 
-Usable without pytest::
+Conformance of metric implementations, properties that every one must keep::
 
     from pytest_cpas.checks import PROPERTIES, check, load_subject
 
@@ -10,8 +10,17 @@ Usable without pytest::
         print(prop.name, result.outcome, result.message)
 
 ``docs/metric-conformance.md`` says how an adapter is written.
+
+The contract of methods: :mod:`pytest_cpas.checks.contract`, ``docs/method-contract.md``.
 """
 
+from pytest_cpas.checks.contract import (
+    CONTRACT,
+    ContractCheck,
+    ContractResult,
+    MethodSubject,
+    check_contract,
+)
 from pytest_cpas.checks.metric_adapter import KNOWN, Box, Offer, Sample, offer
 from pytest_cpas.checks.properties import PROPERTIES, Property
 from pytest_cpas.checks.running import Result, as_subject, check, load_subject, replay
@@ -25,11 +34,20 @@ from pytest_cpas.checks import precision as _precision  # isort: skip  # noqa: F
 from pytest_cpas.checks import average_precision as _average_precision  # isort: skip  # noqa: F401
 from pytest_cpas.checks import conduct as _conduct  # isort: skip  # noqa: F401
 
+# and these the checks of methods
+from pytest_cpas.checks import contract_answers as _answers  # isort: skip  # noqa: F401
+from pytest_cpas.checks import contract_invariance as _invariance  # isort: skip  # noqa: F401
+from pytest_cpas.checks import contract_equivariance as _equivariance  # isort: skip  # noqa: F401
+
 __all__ = [
+    "CONTRACT",
     "KNOWN",
     "PROPERTIES",
     "Box",
+    "ContractCheck",
+    "ContractResult",
     "Finding",
+    "MethodSubject",
     "Offer",
     "Outcome",
     "Property",
@@ -38,6 +56,7 @@ __all__ = [
     "Subject",
     "as_subject",
     "check",
+    "check_contract",
     "load_subject",
     "offer",
     "replay",

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import pytest
 
+from pytest_cpas.checks import ContractResult, Outcome
 from pytest_cpas.comparison import GOOD, Verdict, Word
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, tabulate
 from pytest_cpas.metrics.precision import Count
@@ -16,12 +17,18 @@ _FEW = 20
 
 
 def print_run(
-    terminal: pytest.TerminalReporter, run: Run, rows: Sequence[Row], verdicts: Sequence[Verdict]
+    terminal: pytest.TerminalReporter,
+    run: Run,
+    rows: Sequence[Row],
+    verdicts: Sequence[Verdict],
+    contract: Collection[ContractResult] = (),
 ) -> None:
-    """Print what was missing, the samples of a small run, the precision table, the verdict."""
+    """Print what was missing, the contract, the samples of a small run, the precision table, the
+    verdict."""
     terminal.section(f"{run.method} on {run.dataset}", bold=True)
     for line in run.missing:
         terminal.write_line(f"missing: {line}")
+    _print_contract(terminal, contract)
     if rows and (len(rows) <= _FEW or terminal.config.get_verbosity() > 0):
         print_table(terminal, _sample_lines(rows))
     if rows:
@@ -42,6 +49,26 @@ def print_run(
         else:
             names = ", ".join(verdict.category for verdict in group)
             terminal.write_line(f"golden: {word.value} ({names})", **colour)
+
+
+def _print_contract(terminal: pytest.TerminalReporter, results: Collection[ContractResult]) -> None:
+    judged = [result for result in results if result.outcome is not Outcome.NOT_OFFERED]
+    if not judged:
+        return
+    violated = [result for result in judged if result.violated]
+    parts = [f"contract: {len(judged) - len(violated)} of {len(judged)} checks passed"]
+    wrong = [result.check for result in violated if result.wrong and not result.known]
+    for names, words in (
+        (wrong, "violated"),
+        ([result.check for result in violated if result.known], "known"),
+        (
+            [result.check for result in violated if not result.wrong and not result.known],
+            "not demanded (information)",
+        ),
+    ):
+        if names:
+            parts.append(f"{len(names)} {words}: {', '.join(names)}")
+    terminal.write_line("; ".join(parts), red=bool(wrong))
 
 
 def _precision_lines(rows: Sequence[Row]) -> list[list[str]]:

@@ -1,0 +1,322 @@
+"""What a method must keep, and a method under test.
+
+Usable without pytest::
+
+    from pytest_cpas.checks import CONTRACT, MethodSubject, check_contract
+
+    subject = MethodSubject(method, [dataset.load(ref) for ref in dataset.samples[:4]])
+    for check in CONTRACT.values():
+        result = check_contract(subject, check)
+        print(check.name, result.outcome.value, result.message)
+
+``docs/method-contract.md`` lists the checks.
+"""
+
+from __future__ import annotations
+
+import functools
+import random
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pytest_cpas.checks.subject import Finding, Outcome
+from pytest_cpas.evaluation import check_answers
+from pytest_cpas.frames import to_standard
+from pytest_cpas.types import (
+    Array,
+    ContractError,
+    Hypothesis,
+    Mesh,
+    Method,
+    MethodInfo,
+    Observation,
+    Prediction,
+    Sample,
+)
+
+__all__ = [
+    "CONTRACT",
+    "ContractCheck",
+    "ContractResult",
+    "MethodSubject",
+    "NotCheckedError",
+    "check_contract",
+    "contract",
+    "difference",
+]
+
+
+class NotCheckedError(Exception):
+    """Why a check could not look at anything."""
+
+
+class MethodSubject:
+    """A loaded method, and the samples that it is checked on.
+
+    Every call gets its own writable copies of the arrays, and the same global random state.
+    """
+
+    def __init__(
+        self,
+        method: Method,
+        samples: Sequence[Sample],
+        *,
+        seed: int = 0,
+        fresh: Callable[[], Method] | None = None,
+    ) -> None:
+        """``fresh``: gives another instance of the method, loaded."""
+        self.method, self.samples, self.seed, self.fresh = method, samples, seed, fresh
+        self.info: MethodInfo = method.info
+        #: What calls did to what they were given, and to the global random state.
+        self.changed_inputs: list[str] = []
+        self.changed_state: list[str] = []
+        self._answers: list[Prediction] = []
+        self._broken: Finding | None = None
+
+    @property
+    def observations(self) -> list[Observation]:
+        """What the method sees of the samples."""
+        return [sample.observation for sample in self.samples]
+
+    def answers(self) -> list[Prediction]:
+        """The answer to each observation alone, in order; computed once.
+
+        Raises :class:`NotCheckedError` if one breaks the contract: that is :meth:`first_answers`'
+        finding.
+        """
+        try:
+            return self.first_answers()
+        except Finding:
+            raise NotCheckedError("there are no valid answers to look at") from None
+
+    def first_answers(self) -> list[Prediction]:
+        """The same; raises :class:`Finding`."""
+        if not self.samples:
+            raise NotCheckedError("no sample can be read")
+        if not self._answers and self._broken is None:
+            try:
+                self._answers = [self.predict([each])[0] for each in self.observations]
+            except Finding as finding:
+                self._broken = finding
+        if self._broken is not None:
+            raise self._broken
+        return self._answers
+
+    @functools.cached_property
+    def noise(self) -> str:
+        """How the answer to the last sample differs when it is asked for again; else empty."""
+        again = self.predict(self.observations[-1:])[0]
+        return difference(again, self.answers()[-1], self.info.tolerance)
+
+    def repeated_answers(self) -> list[Prediction]:
+        """As :meth:`answers`, to compare others with; :class:`NotCheckedError` for a method that
+        does not repeat them."""
+        answers = self.answers()
+        if self.noise:
+            raise NotCheckedError("asked twice, the method gives two answers: see repeatable")
+        return answers
+
+    def hypotheses(self) -> list[tuple[Observation, Hypothesis]]:
+        """The observations that have an answer, and the best one in the standard frames."""
+        return [
+            (observation, to_standard(prediction.hypotheses[0], self.info))
+            for observation, prediction in zip(self.observations, self.answers(), strict=True)
+            if prediction.hypotheses
+        ]
+
+    def predict(
+        self,
+        batch: Sequence[Observation],
+        *,
+        method: Method | None = None,
+        random_state: int = 0,
+    ) -> list[Prediction]:
+        """Call ``predict``; :class:`Finding` if it raises or its answers break the contract.
+
+        ``random_state`` seeds the global random states, which are put back afterwards.
+        """
+        given = [
+            Observation(o.category, o.rgb.copy(), o.depth.copy(), o.mask.copy(), o.camera)
+            for o in batch
+        ]
+        with _global_random_state(random_state) as changed:
+            try:
+                answers = (method or self.method).predict(given, self.seed)
+            except ContractError as error:
+                raise Finding(Outcome.VIOLATED, str(error)) from None
+            except Exception as error:
+                raise Finding(Outcome.RAISED, f"predict raised {error!r}") from error
+        self.changed_state += changed
+        for before, after in zip(batch, given, strict=True):
+            self.changed_inputs += [
+                name
+                for name in ("rgb", "depth", "mask")
+                if not np.array_equal(getattr(before, name), getattr(after, name))
+            ]
+        try:
+            if not isinstance(answers, Sequence) or len(answers) != len(batch):
+                count = len(answers) if isinstance(answers, Sequence) else type(answers).__name__
+                raise ContractError(
+                    f"predict: {count} for a batch of {len(batch)}; return one Prediction for each"
+                    " observation, in order"
+                )
+            return [check_answers([answer], self.info) for answer in answers]
+        except ContractError as error:
+            raise Finding(Outcome.VIOLATED, str(error)) from None
+
+    def same(self, prediction: Prediction, expected: Prediction, advice: str) -> None:
+        """Expect the same answer within the declared tolerance; ``advice`` says what to do."""
+        seen = difference(prediction, expected, self.info.tolerance)
+        if seen:
+            raise Finding(Outcome.VIOLATED, f"{advice} ({seen})")
+
+
+def difference(one: Prediction, other: Prediction, tolerance: float) -> str:
+    """How the best hypotheses differ by more than ``tolerance`` (metres, radians); else empty."""
+    if not one.hypotheses or not other.hypotheses:
+        if bool(one.hypotheses) == bool(other.hypotheses):
+            return "" if one.reason == other.reason else f"{one.reason!r}, not {other.reason!r}"
+        return f"failed once: {one.reason or other.reason}"
+    a, b = one.hypotheses[0], other.hypotheses[0]
+    angle = float(Rotation.from_matrix(a.rotation.T @ b.rotation).magnitude())
+    parts = [(f"rotation differs by {np.degrees(angle):.3g} deg", angle)]
+    for name, x, y in (
+        ("translation", a.translation, b.translation),
+        ("extents", a.extents, b.extents),
+        ("shape", _points(a), _points(b)),
+    ):
+        if (x is None) != (y is None) or (x is not None and y is not None and x.shape != y.shape):
+            return f"{name} is of another kind"
+        if x is not None and y is not None:
+            apart = float(np.abs(x - y).max())
+            parts.append((f"{name} differs by {1000 * apart:.3g} mm", apart))
+    if a.score is not None and b.score is not None:
+        apart = abs(a.score - b.score)
+        parts.append((f"score differs by {apart:.3g}", apart))
+    return ", ".join(words for words, amount in parts if not amount <= tolerance)
+
+
+def _points(hypothesis: Hypothesis) -> Array | None:
+    shape = hypothesis.shape
+    return shape.vertices if isinstance(shape, Mesh) else shape
+
+
+@dataclass(frozen=True)
+class ContractCheck:
+    """A plain function ``body(subject)`` that raises :class:`Finding`.
+
+    ``statement``: one line. ``demanded``: of a method that declares this; else its finding is
+    information. ``applies``: whether it makes sense at all. ``smoke``: it needs little more than
+    the answers to the few samples, and runs before all others.
+    """
+
+    name: str
+    statement: str
+    body: Callable[[MethodSubject], None]
+    demanded: Callable[[MethodInfo], bool]
+    applies: Callable[[MethodInfo], bool]
+    smoke: bool
+
+
+#: All checks by name, in the order in which they run.
+CONTRACT: dict[str, ContractCheck] = {}
+
+
+def _always(info: MethodInfo) -> bool:
+    return True
+
+
+def contract(
+    *,
+    demanded: Callable[[MethodInfo], bool] = _always,
+    applies: Callable[[MethodInfo], bool] = _always,
+    smoke: bool = False,
+) -> Callable[[Callable[[MethodSubject], None]], Callable[[MethodSubject], None]]:
+    """Register ``check_NAME``; the first line of its docstring is the statement."""
+
+    def register(body: Callable[[MethodSubject], None]) -> Callable[[MethodSubject], None]:
+        name = body.__name__.removeprefix("check_")
+        statement = (body.__doc__ or "").split("\n")[0].rstrip(".")
+        CONTRACT[name] = ContractCheck(name, statement, body, demanded, applies, smoke)
+        return body
+
+    return register
+
+
+@dataclass(frozen=True)
+class ContractResult:
+    """The outcome of one check of one method. ``known``: its violation is recorded."""
+
+    check: str
+    outcome: Outcome
+    demanded: bool
+    message: str = ""
+    known: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "outcome", Outcome(self.outcome))
+
+    def plain(self) -> dict[str, Any]:
+        """Values to make it of again, in another process as well."""
+        return {**asdict(self), "outcome": self.outcome.value}
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the adapter must be mended."""
+        return self.demanded and self.violated
+
+    @property
+    def violated(self) -> bool:
+        """Whether the check found something."""
+        return self.outcome not in (Outcome.PASSED, Outcome.NOT_OFFERED)
+
+
+def check_contract(subject: MethodSubject, check: ContractCheck) -> ContractResult:
+    """Run one check."""
+    demanded = check.demanded(subject.info)
+    if not check.applies(subject.info):
+        return ContractResult(check.name, Outcome.NOT_OFFERED, demanded, "does not apply")
+    try:
+        check.body(subject)
+    except NotCheckedError as reason:
+        return ContractResult(check.name, Outcome.NOT_OFFERED, demanded, str(reason))
+    except Finding as finding:
+        return ContractResult(check.name, finding.outcome, demanded, str(finding))
+    return ContractResult(check.name, Outcome.PASSED, demanded)
+
+
+@contextmanager
+def _global_random_state(seed: int) -> Iterator[list[str]]:
+    """Seed the global generators of python, numpy and torch; gives who was drawn from or seeded,
+    and puts all back."""
+    changed: list[str] = []
+    torch: Any = sys.modules.get("torch")
+    before = random.getstate(), np.random.get_state()  # noqa: NPY002
+    before_torch = torch.random.get_rng_state() if torch else None
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002
+    if torch:
+        torch.random.default_generator.manual_seed(seed)
+    start = _states(torch)
+    try:
+        yield changed
+    finally:
+        changed += [name for name, state in _states(torch).items() if state != start[name]]
+        random.setstate(before[0])
+        np.random.set_state(before[1])  # noqa: NPY002
+        if torch:
+            torch.random.set_rng_state(before_torch)
+
+
+def _states(torch: Any) -> dict[str, Any]:
+    numpy_state: Any = np.random.get_state()  # noqa: NPY002
+    states = {"random": random.getstate(), "numpy.random": (bytes(numpy_state[1]), numpy_state[2])}
+    if torch:
+        states["torch"] = torch.random.get_rng_state().numpy().tobytes()
+    return states

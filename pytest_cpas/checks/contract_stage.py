@@ -1,0 +1,142 @@
+"""The contract of one run, before its samples: on which samples, what is known, what stops it."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import tomllib
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pytest_cpas.checks import CONTRACT
+from pytest_cpas.checks.contract import (
+    ContractCheck,
+    ContractResult,
+    MethodSubject,
+    check_contract,
+)
+from pytest_cpas.checks.subject import Outcome
+from pytest_cpas.evaluation import MethodError, MethodRun
+from pytest_cpas.types import ContractError, Method, Sample, SampleRef
+
+__all__ = ["ContractStage", "KnownViolation", "known_violations", "smoke_samples"]
+
+#: Samples that the checks look at.
+SMOKE_SAMPLES = 4
+
+
+@dataclass(frozen=True)
+class KnownViolation:
+    """A contract check that a method fails, and why that stays."""
+
+    check: str
+    reason: str
+
+
+def known_violations(method: Method) -> dict[str, KnownViolation]:
+    """The ``[[contract]]`` entries of ``NAME.expectations.toml`` beside the method's module.
+
+    By check; empty if there is no file. :class:`ContractError` if it is damaged.
+    """
+    path = Path(inspect.getfile(type(method))).with_name(f"{method.info.name}.expectations.toml")
+    if not path.is_file():
+        return {}
+    try:
+        entries = tomllib.loads(path.read_text(encoding="utf-8")).get("contract", [])
+        known = {entry["check"]: KnownViolation(**entry) for entry in entries}
+    except (tomllib.TOMLDecodeError, TypeError, KeyError, AttributeError) as error:
+        raise ContractError(
+            f"{path}: expected [[contract]] entries with check and reason ({error!r})"
+        ) from error
+    unknown = sorted(known.keys() - CONTRACT.keys())
+    if unknown or not all(entry.reason.strip() for entry in known.values()):
+        seen = f"there is no check {', '.join(unknown)}" if unknown else "an entry has no reason"
+        raise ContractError(f"{path}: {seen}; the checks are {', '.join(CONTRACT)}")
+    return known
+
+
+def smoke_samples(run: MethodRun, count: int = SMOKE_SAMPLES) -> list[Sample]:
+    """``count`` samples of a run, or fewer: of different categories and scenes where possible, each
+    the one of three candidates that has the most depth in its mask. Damaged ones are left out."""
+    by_category: dict[str, list[SampleRef]] = defaultdict(list)
+    for ref in run.samples:
+        by_category[ref.category].append(ref)
+    categories = sorted(by_category)
+    count = min(count, len(run.samples))
+    chosen: dict[str, Sample] = {}
+    for index in range(count):
+        step = max(len(categories) / count, 1)
+        refs = by_category[categories[int(index * step) % len(categories)]]
+        starts = [int((index / count + part / (3 * count)) * len(refs)) for part in range(3)]
+        candidates = _read(run, [refs[i % len(refs)] for i in dict.fromkeys(starts)], chosen)
+        if candidates:
+            best = max(candidates, key=_evidence)
+            chosen[best.ref.id] = best
+    return list(chosen.values())
+
+
+def _read(run: MethodRun, refs: Sequence[SampleRef], known: dict[str, Sample]) -> list[Sample]:
+    samples = []
+    for ref in refs:
+        if ref.id not in known:
+            try:
+                samples.append(run.read(ref))
+            except ContractError:
+                continue  # the sample's own item says what is damaged
+    return samples
+
+
+def _evidence(sample: Sample) -> int:
+    return int(np.count_nonzero(sample.observation.mask & (sample.observation.depth > 0)))
+
+
+class ContractStage:
+    """The contract checks of a run in this process: each runs once, when it is first asked for."""
+
+    def __init__(self, run: MethodRun) -> None:
+        """Read what is known; :class:`ContractError` if that file is damaged."""
+        self.run = run
+        self.known = known_violations(run.unloaded)
+        #: Whether the checks are among the items of the session; if not, they stop nothing.
+        self.asked = False
+        self._results: dict[str, ContractResult] = {}
+
+    @functools.cached_property
+    def _subject(self) -> MethodSubject:
+        method = self.run.loaded()
+        return MethodSubject(
+            method, smoke_samples(self.run), seed=self.run.seed, fresh=self.run.fresh
+        )
+
+    def result(self, check: ContractCheck) -> ContractResult:
+        """What a check found."""
+        if check.name not in self._results:
+            try:
+                self._results[check.name] = check_contract(self._subject, check)
+            except MethodError as error:
+                first = check.name == next(iter(CONTRACT))
+                self._results[check.name] = ContractResult(
+                    check.name, Outcome.RAISED if first else Outcome.NOT_OFFERED, True, str(error)
+                )
+        return self._results[check.name]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run has all samples of the data set."""
+        return len(self.run.samples) == sum(self.run.listed.values())
+
+    @property
+    def wrong(self) -> str:
+        """Why the samples need not be judged: the smoke checks that the method fails."""
+        if not self.asked:
+            return ""
+        results = [self.result(check) for check in CONTRACT.values() if check.smoke]
+        return "; ".join(
+            f"{result.check}: {result.message}"
+            for result in results
+            if result.wrong and result.check not in self.known
+        )
