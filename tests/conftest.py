@@ -1,5 +1,6 @@
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import hypothesis  # noqa: F401 - else every run of pytest in this process imports it anew
@@ -25,6 +26,8 @@ def test_data() -> Path:
 def cpas(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch):
     """Run ``method`` on ``dataset`` of tests/tiny.py with further arguments."""
     monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
+    # runs in this process import the copy, whatever tests import
+    monkeypatch.delitem(sys.modules, "tiny", raising=False)
     shutil.copy(Path(__file__).with_name("tiny.py"), pytester.path)
     (pytester.path / "golden").mkdir()
 

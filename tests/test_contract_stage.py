@@ -1,20 +1,13 @@
 """The contract of a method before its samples, in whole runs of pytest."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
+import tiny
 from harness import KEPT, NOT_DEMANDED, RUN
 
 from pytest_cpas.checks import CONTRACT
 from pytest_cpas.checks.contract_stage import SMOKE_SAMPLES, smoke_samples
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.types import ContractError
-
-# under another name: runs of pytest in this process import the copy beside them
-_spec = importlib.util.spec_from_file_location("tiny_data", Path(__file__).with_name("tiny.py"))
-tiny = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(tiny)
 
 HOW = [(), ("-n2",), ("--cpas-granularity=scene",)]
 
