@@ -125,6 +125,22 @@ class Camera:
         )
 
 
+def _cause(rotation: Array) -> str:
+    """What can have gone wrong with a matrix that is not orthonormal."""
+    gram = rotation.T @ rotation
+    scale = float(np.sqrt(np.trace(gram) / 3))
+    if scale > 0 and np.abs(gram / scale**2 - _IDENTITY).max() <= ORTHONORMAL_TOLERANCE:
+        return (
+            f"It is a rotation times {scale:.6g}, a scale left in the rotation: give"
+            f" rotation / {scale:.6g} (np.cbrt(np.linalg.det(rotation)) of each sample), and"
+            " extents and shape in metres"
+        )
+    return (
+        "Usual causes: the extents left in the rotation, a quaternion that was not normalised,"
+        " columns of a network's output that were not made orthogonal"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
     """Object-to-camera pose: ``rotation`` (3, 3), ``translation`` (3,) in metres.
@@ -143,8 +159,7 @@ class Pose:
             norms = np.array2string(np.linalg.norm(rotation, axis=0), precision=4)
             raise ContractError(
                 f"rotation: not orthonormal (R @ R.T differs from I by {deviation:.3g}, column"
-                f" norms {norms}); expected a rotation matrix. Usual causes: a scale left in the"
-                " rotation, a quaternion that was not normalised, columns taken for rows"
+                f" norms {norms}); expected a rotation matrix. {_cause(rotation)}"
             )
         if np.linalg.det(rotation) < 0:
             raise ContractError(

@@ -66,7 +66,12 @@ def test_values_are_copied_and_read_only():
     ("make", "words"),
     [
         (lambda: Pose(np.diag([1, 1, -1]), np.zeros(3)), "reflection"),
-        (lambda: Pose(0.3 * ROTATION, np.zeros(3)), "a scale left in the rotation"),
+        (
+            lambda: Pose(0.3 * ROTATION, np.zeros(3)),
+            r"a rotation times 0.3, a scale left in the rotation: give rotation / 0.3",
+        ),
+        (lambda: Pose(ROTATION * [0.1, 0.2, 0.1], np.zeros(3)), "the extents left in the rotation"),
+        (lambda: Pose(np.zeros((3, 3)), np.zeros(3)), "not orthonormal"),
         (lambda: Pose(ROTATION, np.zeros(4)), r"shape is \(4,\), expected \(3\)"),
         (lambda: Pose(np.full((3, 3), np.nan), np.zeros(3)), "9 of 9 values are NaN"),
         (lambda: Pose("abc", np.zeros(3)), "not an array of numbers"),
