@@ -224,14 +224,16 @@ class MethodRun(Run):
         device: str = "cpu",
         seed: int = 0,
         seeds: int = 1,
+        shared: MethodRun | None = None,
     ) -> None:
         """List the samples whose category the method knows; nothing is loaded yet.
 
-        Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row.
+        Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row. ``shared``:
+        another run of the same method, which is then loaded once for both.
         """
         self._method, self._dataset = method, dataset
         self._weights, self._device = weights, device
-        self.seed, self.seeds = seed, seeds
+        self.seed, self.seeds, self.shared = seed, seeds, shared
         self.info = method.info
         self.quick_truth = hasattr(dataset, "truth")
         camera = getattr(dataset, "camera", None)
@@ -264,6 +266,8 @@ class MethodRun(Run):
     @functools.cached_property
     def _load_error(self) -> Exception | None:
         """Loads the method; what went wrong is remembered, not tried again for every sample."""
+        if self.shared is not None:
+            return self.shared._load_error
         try:
             self._method.load(self._weights, self._device)
         except Exception as error:

@@ -85,6 +85,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="judge only N samples of each data set, evenly spaced",
     )
     group.addoption(
+        "--cpas-profile",
+        choices=("robustness",),
+        help="robustness: judge a part of each data set as it is and perturbed (noise and gaps in"
+        " depth, wrong masks, occlusion, darkness), for curves of precision against severity",
+    )
+    group.addoption(
         "--cpas-shard",
         metavar="I/N",
         default="1/1",

@@ -6,6 +6,8 @@ golden tables and reports.
 
 from __future__ import annotations
 
+import argparse
+import itertools
 import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack
@@ -26,10 +28,12 @@ from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
 from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
+from pytest_cpas.report.robustness import print_curves
 from pytest_cpas.report.terminal import print_run
 from pytest_cpas.results import ResultsError, ResultsFile, Shard, merge
+from pytest_cpas.robustness import perturbation_of, perturbed
 from pytest_cpas.snapshot import golden_folder
-from pytest_cpas.types import ContractError, Method, MethodInfo
+from pytest_cpas.types import ContractError, Dataset, Method, MethodInfo
 
 #: Where an item keeps what it found out: rows, and errors of samples without one.
 FOUND = pytest.StashKey["Found"]()
@@ -62,6 +66,11 @@ class CpasSession(SuiteSession):
         self.contract: dict[Run, dict[str, ContractResult]] = {run: {} for run in self.runs}
         self.findings: dict[Run, list[Finding]] = {}
         self._broken = 0
+
+    def stage(self, run: Run) -> ContractStage | None:
+        """The contract of a run's method, if it is checked."""
+        first = run.shared if isinstance(run, MethodRun) else None
+        return self.stages.get(first or run)
 
     # -- items ------------------------------------------------------------------------------
 
@@ -180,12 +189,17 @@ class CpasSession(SuiteSession):
         """The tables and verdicts."""
         if not self.is_controller:
             return
+        rows = {run: self._ordered(run) for run in self.runs}
         for run in self.runs:
-            rows, verdicts = self._ordered(run), self.verdicts.get(run, [])
-            print_run(terminalreporter, run, rows, verdicts, self.contract[run].values())
+            verdicts = self.verdicts.get(run, [])
+            sound = not any(verdict.failed for verdict in verdicts)
+            if perturbation_of(run.dataset) and sound and self.config.get_verbosity() <= 0:
+                continue  # a point of the curves below
+            print_run(terminalreporter, run, rows[run], verdicts, self.contract[run].values())
             for finding in self.findings.get(run, []):
                 for line in finding.lines():
                     terminalreporter.write_line(line, yellow=True)
+        print_curves(terminalreporter, rows, self.verdicts)
         if self.update:
             known = {run.method for run in self.runs} | {
                 entry.name for entry in registry.registered("method")
@@ -241,19 +255,8 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
         selection = Selection(options.cpas_category, options.cpas_limit, shard.index, shard.count)
         methods = [_make_method(name, weights) for name in options.cpas_method]
         datasets = [registry.resolve("dataset", name)(data) for name in options.cpas_dataset]
-        runs += [
-            MethodRun(
-                make(),
-                dataset,
-                weights=weights,
-                device=options.cpas_device,
-                seed=options.cpas_seed,
-                seeds=options.cpas_jitter,
-                selection=selection,
-            )
-            for make in methods
-            for dataset in datasets
-        ]
+        for make, dataset in itertools.product(methods, datasets):
+            runs += _method_runs(make(), dataset, options, selection, weights)
         for name in options.cpas_predictions:
             runs.append(StoredRun(config.invocation_params.dir / name, selection=selection))
         merged = [config.invocation_params.dir / name for name in options.cpas_merge]
@@ -274,9 +277,38 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
 
 def _contract_stages(runs: Sequence[Run]) -> dict[Run, ContractStage]:
     try:
-        return {run: ContractStage(run) for run in runs if isinstance(run, MethodRun)}
+        return {
+            run: ContractStage(run)
+            for run in runs
+            if isinstance(run, MethodRun) and run.shared is None  # once for runs that share it
+        }
     except ContractError as error:
         raise pytest.UsageError(str(error)) from error
+
+
+def _method_runs(
+    method: Method,
+    dataset: Dataset,
+    options: argparse.Namespace,
+    selection: Selection,
+    weights: Path | None,
+) -> list[MethodRun]:
+    """The run of a method on a data set; with a profile, one for each part that this makes."""
+    robustness = options.cpas_profile == "robustness"
+    runs: list[MethodRun] = []
+    for part in perturbed(dataset, method.info) if robustness else (dataset,):
+        run = MethodRun(
+            method,
+            part,
+            weights=weights,
+            device=options.cpas_device,
+            seed=options.cpas_seed,
+            seeds=options.cpas_jitter,
+            selection=selection,
+            shared=runs[0] if runs else None,
+        )
+        runs.append(run)
+    return runs
 
 
 def _results_files(config: pytest.Config, runs: Sequence[Run]) -> dict[Run, ResultsFile]:

@@ -87,8 +87,9 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
     errors = []
     # the others were judged before the run was killed
     refs = [ref for ref in refs if ref.id not in session.rows[run]]
-    if refs and run in session.stages and (wrong := session.stages[run].wrong):
-        pytest.skip(f"the adapter is wrong: {wrong}")
+    stage = session.stage(run)
+    if refs and stage and stage.wrong:
+        pytest.skip(f"the adapter is wrong: {stage.wrong}")
     for ref in refs:
         try:
             found.rows.append(run.judge(ref))
