@@ -60,7 +60,7 @@ def types(session: nox.Session) -> None:
 def benchmarks(session: nox.Session) -> None:
     """Ratios against peers, measured in the same run."""
     install(session, "-e", ".[fast,open3d,sdf,torch]")
-    session.install("--no-deps", "cpas_toolbox==1.0.0")
+    session.install("--no-deps", "cpas_toolbox==1.0.0", "absl-py")
     for script in session.posargs or sorted(str(p) for p in Path("benchmarks").glob("bench_*.py")):
         session.run("python", script, env=ENV)
 
@@ -69,7 +69,7 @@ def benchmarks(session: nox.Session) -> None:
 def ports(session: nox.Session) -> None:
     """The ports with seeded random weights: golden table, and the networks of a peer."""
     install(session, "-e", ".[open3d,sdf,torch,xdist]")
-    session.install("--no-deps", "cpas_toolbox==1.0.0")
+    session.install("--no-deps", "cpas_toolbox==1.0.0", "absl-py", "opencv-python-headless<5")
     weights = session.create_tmp()
     session.run("python", "tests/ports/cases.py", "weights", weights, env=ENV)
     session.run(
@@ -79,6 +79,16 @@ def ports(session: nox.Session) -> None:
         f"--cpas-weights={weights}",
         "--cpas-golden=tests/ports/golden",
         "--cpas-require-golden",
+        "--numprocesses=2",
+        "--quiet",
+        env=ENV,
+    )
+    session.run(
+        "pytest",
+        "--cpas-method=cass",
+        "--cpas-method=rbppose",
+        "--cpas-dataset=synthetic-handheld",
+        f"--cpas-weights={weights}",
         "--numprocesses=2",
         "--quiet",
         env=ENV,

@@ -101,8 +101,12 @@ class BottleneckPyramid(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """(B, 512, h, w) to (B, 1024, h, w)."""
         size = (x.shape[2], x.shape[3])
-        pooled = [_resized(stage(x), size, align_corners=False) for stage in self.stages]
-        return F.relu(self.bottleneck(torch.cat([*pooled, x], 1)), inplace=True)
+        # the bottleneck of what is resized is what is resized of the bottleneck, on fewer pixels
+        *weights, last = self.bottleneck.weight.split(512, dim=1)
+        y = F.conv2d(x, last, self.bottleneck.bias)
+        for stage, weight in zip(self.stages, weights, strict=True):
+            y += _resized(F.conv2d(stage(x), weight), size, align_corners=False)
+        return F.relu(y, inplace=True)
 
 
 class UpBlock(nn.Module):

@@ -1,6 +1,11 @@
 """Against the published code itself, where cpas_toolbox is installed and runs on a CPU:
-pip install --no-deps cpas_toolbox==1.0.0. SGPA and DPDN need CUDA extensions there."""
 
+    pip install --no-deps cpas_toolbox==1.0.0 absl-py "opencv-python-headless<5"
+
+SGPA and DPDN need CUDA extensions there. RBP-Pose asks for a GPU in one place, which is taken out.
+"""
+
+import contextlib
 import importlib
 import sys
 from importlib.util import find_spec
@@ -12,7 +17,17 @@ import pytest
 import torch
 
 from method_adapters._crop import crop_of
+from method_adapters.cass import Cass, crop_around
+from method_adapters.rbppose import (
+    MEAN_SIZES,
+    SYMMETRIC,
+    RbpPose,
+    resampled_pixels,
+    rotation_between,
+)
+from pytest_cpas._open3d import import_open3d
 from pytest_cpas.similarity import robust_umeyama, umeyama
+from pytest_cpas.types import CATEGORIES
 
 pytest.importorskip("cpas_toolbox", reason="pip install --no-deps cpas_toolbox==1.0.0")
 
@@ -23,8 +38,11 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 def peer(monkeypatch):
     """Import a module of the peer; what it needs for training and plots alone is left out."""
     names = ("cv2", "matplotlib", "matplotlib.pyplot", "tqdm")
+    names += ("torchvision", "torchvision.transforms")
     for name in [n for n in names if find_spec(n.partition(".")[0]) is None]:
         monkeypatch.setitem(sys.modules, name, MagicMock())
+    with contextlib.suppress(ImportError):
+        import_open3d()
     return lambda path: importlib.import_module(f"cpas_toolbox.cpas_methods.{path}")
 
 
@@ -42,17 +60,139 @@ def test_networks(peer, name, path):
         assert cases.relative(a, b.numpy()) <= cases.TOLERANCE
 
 
-def test_crop_rule(peer):
-    get_bbox = peer("_spd.spd.utils").get_bbox
+def boxes(count):
+    """First and last row and column of random boxes, and masks of them."""
     random = np.random.default_rng(0)
-    for _ in range(500):
+    for _ in range(count):
         high = random.integers(1, [480, 640])
         low = np.maximum(0, high - random.integers(1, [480, 640]) // random.integers(1, 8))
         mask = np.zeros((480, 640), bool)
         mask[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
-        crop = crop_of(mask)
-        window = (crop.row, crop.row + crop.height, crop.column, crop.column + crop.width)
-        assert window == tuple(get_bbox((*low, *high)))
+        yield (*low.tolist(), *high.tolist()), mask
+
+
+def limits(crop):
+    return crop.row, crop.row + crop.height, crop.column, crop.column + crop.width
+
+
+def test_crop_rule(peer):
+    get_bbox = peer("_spd.spd.utils").get_bbox
+    for box, mask in boxes(500):
+        assert limits(crop_of(mask)) == tuple(get_bbox(box))
+
+
+def test_cass(peer):
+    published = peer("_cass")
+    for _, mask in boxes(500):
+        assert limits(crop_around(mask)) == tuple(published.get_bbox(mask))
+    ours, theirs = cases.network("cass"), published.CASS(num_points=500, num_obj=6).eval()
+    loaded = theirs.load_state_dict(ours.state_dict(), strict=False)
+    assert not loaded.unexpected_keys
+    assert all(key.startswith(Cass.unused) for key in loaded.missing_keys)
+    inputs = cases.network_inputs("cass")
+    for sample in range(2):
+        points, image, choose, category = given = [x[sample : sample + 1] for x in inputs]
+        with torch.inference_mode():
+            shape = theirs.foldingnet.encode(image, points, choose)
+            pose = theirs.estimator.encode(image, points, choose)
+            expected = theirs.estimator.pose(torch.cat([pose, shape], 1), category)
+            expected = [*expected, theirs.foldingnet.recon(shape)]
+        for a, b in zip(cases.outputs_of(ours, given), expected, strict=True):
+            assert cases.relative(a.ravel(), b.numpy().ravel()) <= cases.TOLERANCE
+
+
+@pytest.fixture
+def rbppose_peer(peer, monkeypatch):
+    pytest.importorskip("absl", reason="pip install absl-py")
+    monkeypatch.setattr(np, "int", int, raising=False)  # of older numpy
+    monkeypatch.setattr(torch.Tensor, "cuda", lambda self: self)
+    return peer("_rbppose")
+
+
+def test_rbppose_network(rbppose_peer, monkeypatch):
+    """Where both take the first of everything."""
+    monkeypatch.setattr(np.random, "choice", lambda count, size, replace: np.arange(size))
+    monkeypatch.setattr(torch, "randperm", torch.arange)
+    ours, theirs = cases.network("rbppose"), rbppose_peer.SSPN(...).eval()
+    loaded = theirs.load_state_dict(ours.state_dict(), strict=False)
+    assert not loaded.unexpected_keys
+    assert all(key.startswith(RbpPose.unused) for key in loaded.missing_keys)
+    random = np.random.default_rng(0)
+    mask = np.zeros((256, 256), np.float32)
+    mask.ravel()[random.permutation(256 * 256)[:1028]] = 1
+    depth = np.float32(800) + 60 * random.random((256, 256), np.float32)
+    rows, columns = np.mgrid[:256, :256].astype(np.float32)
+    matrix = np.array([[1000, 0, 128], [0, 1010, 130], [0, 0, 1]], np.float32)
+    prior, size = cases.priors()[5].astype(np.float32), np.float32([0.15, 0.08, 0.11])
+    v, u = np.nonzero(mask)
+    z = depth[v, u]
+    x, y = (columns[v, u] - 128) * z / 1000, (rows[v, u] - 130) * z / 1010
+    points = (np.stack([x, y, z], axis=1) / 1000).astype(np.float32)
+    batch = {
+        "rgb": np.zeros((3, 256, 256), np.float32),
+        "depth": depth[None],
+        "obj_id": np.array(5),
+        "camK": matrix,
+        "def_mask": mask[None],
+        "mean_shape": size,
+        "shape_prior": prior,
+        "gt_2D": np.stack([columns, rows]),
+    }
+    with torch.inference_mode():
+        expected = theirs(**{k: torch.from_numpy(x[None]) for k, x in batch.items()})
+    given = [torch.from_numpy(x[None]) for x in (points, np.array(5), prior, size)]
+    given += [torch.arange(n)[None] for n in (257, 64, 256, 64)]
+    *result, deltas = cases.outputs_of(ours, given)
+    names = ("p_green_R", "p_red_R", "f_green_R", "f_red_R", "Pred_T", "Pred_s", "recon_model")
+    for name, output in zip(names, [*result, prior + deltas], strict=True):
+        assert cases.relative(output, expected[name].numpy()) <= cases.TOLERANCE, name
+
+
+def test_rbppose_sizes_and_rotations(rbppose_peer):
+    random = np.random.default_rng(0)
+
+    def batch(x):
+        return torch.tensor(np.asarray(x, np.float32))[None]
+
+    for category in CATEGORIES:
+        size = np.asarray(rbppose_peer.get_mean_shape(category)) / 1000
+        np.testing.assert_allclose(size, MEAN_SIZES[category])
+        symmetry = rbppose_peer.get_sym_info(category)
+        for _ in range(50):
+            green, red = random.standard_normal((2, 3))
+            green, red = green / np.linalg.norm(green), red / np.linalg.norm(red)
+            sure_green, sure_red = random.random(2)
+            (expected,) = rbppose_peer.generate_RT(
+                [batch(green), batch(red)],
+                [batch(sure_green), batch(sure_red)],
+                batch([0, 0, 1]),
+                mode="vec",
+                sym=batch(symmetry),
+            )
+            known = 0 if category in SYMMETRIC else sure_red
+            ours = rotation_between(green, red, sure_green, known)
+            np.testing.assert_allclose(ours, expected[:3, :3], atol=1e-5)
+
+
+def test_rbppose_resampling(rbppose_peer):
+    """Of validity and of coordinates; OpenCV 5 resamples one differently from the other."""
+    cv2 = pytest.importorskip("cv2")
+    if int(cv2.__version__.partition(".")[0]) > 4:
+        pytest.skip(f"OpenCV {cv2.__version__}: needs one before 5")
+    random = np.random.default_rng(0)
+    coordinates = rbppose_peer.get_2d_coord_np(640, 480).transpose(1, 2, 0)
+    for box, mask in boxes(40):
+        valid = random.random((480, 640)) < 0.5
+        top, bottom, left, right = (int(x) for x in rbppose_peer.get_bbox(list(box)))
+        middle, side = np.array([0.5 * (left + right), 0.5 * (top + bottom)]), bottom - top
+        kept, places = (
+            rbppose_peer.crop_resize_by_warp_affine(
+                x, middle, side, 256, interpolation=cv2.INTER_NEAREST
+            )
+            for x in (valid.astype(np.float32), coordinates)
+        )
+        v, u = resampled_pixels(valid, crop_of(mask))
+        np.testing.assert_array_equal(np.stack([u, v], axis=1), places[kept > 0])
 
 
 def test_similarity(peer):
