@@ -75,6 +75,8 @@ class SuiteSession(ABC):
         node, found = getattr(report, "cpas_found", (None, None))
         if self.is_controller and node == self._node and found is not None:
             self.collect(found)
+            # pytest keeps the reports of a run; the rows are kept already
+            del report.cpas_found
 
 
 def grouped(

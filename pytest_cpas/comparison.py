@@ -205,13 +205,11 @@ class _Pairing:
         lines = []
         for column, (what, factor, unit) in enumerate(_MOVING):
             moves = [
-                (abs(float(new) - float(old)), name, float(old), float(new))
+                (abs(new - old), name, old, new)
                 for name in self.both
-                if (old := self.old[name].errors[column])
-                and (new := self.new[name].errors[column])
-                and not math.isclose(
-                    float(old), float(new), rel_tol=_SAME_RELATIVE, abs_tol=_SAME_ABSOLUTE
-                )
+                if (old := self.old[name].errors[column]) is not None
+                and (new := self.new[name].errors[column]) is not None
+                and not math.isclose(old, new, rel_tol=_SAME_RELATIVE, abs_tol=_SAME_ABSOLUTE)
             ]
             if moves:
                 _, name, old_error, new_error = max(moves)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import platform
+import sys
 from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -69,7 +70,7 @@ class MethodError(Exception):
     """A method cannot be loaded."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Row:
     """The errors of one sample.
 
@@ -90,20 +91,21 @@ class Row:
     estimate: str | None = None
     repeats: str = ""
 
-    @property
-    def errors(self) -> dict[str, float | None]:
-        """By the names of :data:`pytest_cpas.metrics.precision.METRICS`."""
-        return {
-            "rotation_deg": self.rotation_error,
-            "position_m": self.translation_error,
-            "iou": self.iou,
-            "fscore": self.fscore_1cm,
-        }
+
+#: The field of a row for each of :data:`pytest_cpas.metrics.precision.METRICS`.
+_FIELDS = {
+    "rotation_deg": "rotation_error",
+    "position_m": "translation_error",
+    "iou": "iou",
+    "fscore": "fscore_1cm",
+}
 
 
 def outcomes(rows: Sequence[Row]) -> list[str]:
     """Per row one character for each of :data:`THRESHOLDS`: correct 1, not 0, n/a -."""
-    errors = Errors.from_rows([row.errors for row in rows])
+    errors = Errors(
+        {metric: [getattr(row, field) for row in rows] for metric, field in _FIELDS.items()}
+    )
     columns = []
     for threshold in THRESHOLDS:
         judged = errors.judge(threshold)
@@ -116,7 +118,8 @@ def outcomes(rows: Sequence[Row]) -> list[str]:
                 for correct, known in zip(*judged, strict=True)
             ]
         )
-    return ["".join(characters) for characters in zip(*columns, strict=True)]
+    # a few different ones only, however many rows: one object each
+    return [sys.intern("".join(characters)) for characters in zip(*columns, strict=True)]
 
 
 #: Counts per category (and "all") and threshold label; None where every sample is n/a.

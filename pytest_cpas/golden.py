@@ -15,6 +15,7 @@ import io
 import json
 import os
 import re
+import sys
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -52,26 +53,28 @@ class GoldenError(Exception):
     """A golden table that cannot be read, or not be written."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class TableSample:
     """A line of ``samples.csv``.
 
     ``outcome`` as of :func:`outcomes`; ``repeats`` the outcomes under the further seeds of
-    ``--cpas-jitter``, empty if all are like the first; ``errors`` as printed.
+    ``--cpas-jitter``, empty if all are like the first; ``errors`` in the order of the columns,
+    metres and degrees, None is n/a; ``failure`` why there is no answer, or "".
     """
 
     category: str
     outcome: str
     repeats: tuple[str, ...]
-    errors: tuple[str, ...]
+    errors: tuple[float, float, float | None, float | None]
+    failure: str
 
     def describe(self) -> str:
         """The errors in words."""
-        translation, rotation, _, fscore, failure = self.errors
-        if failure:
-            return f"failed: {failure}"
-        text = f"{float(translation) * 100:.3g} cm, {float(rotation):.3g} deg"
-        return f"{text}, F {float(fscore):.3g}" if fscore else text
+        if self.failure:
+            return f"failed: {self.failure}"
+        translation, rotation, _, fscore = self.errors
+        text = f"{translation * 100:.3g} cm, {rotation:.3g} deg"
+        return text if fscore is None else f"{text}, F {fscore:.3g}"
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,10 @@ class RunTable:
         writer.writerow(_COLUMNS)
         for name, sample in sorted(self.samples.items()):
             repeats = " ".join(sample.repeats)
-            writer.writerow((name, sample.category, sample.outcome, repeats, *sample.errors))
+            errors = ("" if error is None else f"{error:.6g}" for error in sample.errors)
+            writer.writerow(
+                (name, sample.category, sample.outcome, repeats, *errors, sample.failure)
+            )
         return text.getvalue()
 
     def table_toml(self) -> str:
@@ -180,21 +186,13 @@ def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
 
 
 def _table_samples(rows: Sequence[Row]) -> dict[str, TableSample]:
-    def text(value: float | None) -> str:
-        return "" if value is None else f"{value:.6g}"
-
     return {
         row.sample: TableSample(
             row.category,
             outcome,
             tuple(row.repeats.split()) if set(row.repeats.split()) - {outcome} else (),
-            (
-                text(row.translation_error),
-                text(row.rotation_error),
-                text(row.iou),
-                text(row.fscore_1cm),
-                row.failure or "",
-            ),
+            (row.translation_error, row.rotation_error, row.iou, row.fscore_1cm),
+            row.failure or "",
         )
         for row, outcome in zip(rows, outcomes(rows), strict=True)
     }
@@ -365,7 +363,10 @@ def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunT
     lines = list(csv.reader(io.StringIO(samples_csv, newline="")))
     if not lines or tuple(lines[0]) != _COLUMNS or any(len(x) != len(_COLUMNS) for x in lines):
         raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
-    samples = {x[0]: TableSample(x[1], x[2], tuple(x[3].split()), tuple(x[4:])) for x in lines[1:]}
+    try:
+        samples = {x[0]: _sample(x) for x in lines[1:]}
+    except ValueError as error:
+        raise GoldenError(f"samples.csv: {error}") from error
     for sample in samples.values():
         told = [sample.outcome, *sample.repeats]
         if len(told) not in (1, seeds) or not all(_OUTCOME.fullmatch(text) for text in told):
@@ -375,3 +376,19 @@ def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunT
     if [f"{_quoted(k)} = {_quoted(v)}" for k, v in cells.items()] != _cell_lines(table.table):
         raise GoldenError("the cells of table.toml are not the sums of samples.csv")
     return table
+
+
+def _sample(line: Sequence[str]) -> TableSample:
+    _, category, outcome, repeats, translation, rotation, iou, fscore, failure = line
+    return TableSample(
+        sys.intern(category),
+        sys.intern(outcome),
+        tuple(repeats.split()),
+        (
+            float(translation),
+            float(rotation),
+            float(iou) if iou else None,
+            float(fscore) if fscore else None,
+        ),
+        failure,
+    )

@@ -97,7 +97,11 @@ class CpasSession(SuiteSession):
         """Collect rows, and keep them on disk if asked to; a disk that is full ends the run."""
         index, content = found
         run = self.runs[index]
-        rows = [Row(**values) for values in content["rows"]]
+        # one object per category, not one per row
+        rows = [
+            Row(**values | {"category": sys.intern(values["category"])})
+            for values in content["rows"]
+        ]
         self.rows[run] |= {row.sample: row for row in rows}
         if file := self.files.get(run):
             try:

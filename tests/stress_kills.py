@@ -69,11 +69,11 @@ def main(trials: int) -> None:
         process = subprocess.Popen(
             command(folder, *args), stdout=subprocess.PIPE, text=True, start_new_session=True
         )
-        time.sleep(rng.uniform(0.2, 1.0) * duration * (2 if args else 1))
+        time.sleep(rng.uniform(0.3, 0.9) * duration * (2 if args else 1))
         victim = "controller"
         if process.poll() is not None:
             victim = "nobody: it was through"
-        elif (workers := children(process.pid)) and rng.random() < 0.5:
+        elif (workers := children(process.pid)) and rng.random() < 0.7:
             victim = "worker"
             os.kill(rng.choice(workers), signal.SIGKILL)
             process.communicate()  # the controller goes on with another worker

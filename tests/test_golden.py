@@ -18,7 +18,7 @@ def test_what_is_written_is_read(tmp_path):
     odd = rows()
     odd[0] = Row("s/00", "can", FAILED["position_m"], FAILED["rotation_deg"], FAILED["iou"],
                  FAILED["fscore"], 'commas, "quotes"\nand lines')  # fmt: skip
-    odd[1] = Row("s/01", "mug", 0.1, 1 / 3, None, None)
+    odd[1] = Row("s/01", "mug", 0.1, 0.333333, None, None)
     odd_table = RunTable.of(a_run(), odd)
     folder = record(tmp_path, odd_table)
     assert folder == tmp_path / "recorded" / "m" / "d"
@@ -179,8 +179,8 @@ def test_two_updates_at_once_lose_nothing(tmp_path):
     assert [writer.exitcode for writer in writers] == [0, 0]
     assert read > 0
     final = read_golden(folder)
-    assert {s.errors[1] for s in final.samples.values() if s.category == "can"} == {"7"}
-    assert {s.errors[1] for s in final.samples.values() if s.category == "mug"} == {"13"}
+    assert {s.errors[1] for s in final.samples.values() if s.category == "can"} == {7}
+    assert {s.errors[1] for s in final.samples.values() if s.category == "mug"} == {13}
 
 
 def test_orphans_are_tables_of_methods_that_are_gone(tmp_path):

@@ -224,4 +224,5 @@ def test_published_predictions(test_data):
             other.category,
             other.failure,
         )
-        assert list(one.errors.values()) == pytest.approx(list(other.errors.values()), abs=1e-9)
+        for error in ("translation_error", "rotation_error", "iou"):
+            assert getattr(one, error) == pytest.approx(getattr(other, error), abs=1e-9)
