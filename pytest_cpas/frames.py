@@ -13,6 +13,10 @@ from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo
 NOCS_FROM_SHAPENET = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 NOCS_FROM_SHAPENET.setflags(write=False)
 
+#: Object coordinates with z up -> ShapeNet ones: x stays, y is z.
+SHAPENET_FROM_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+SHAPENET_FROM_Z_UP.setflags(write=False)
+
 #: OpenGL camera coordinates (y up, looking along -z) -> OpenCV ones (y down, looking along +z).
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
 OPENCV_FROM_OPENGL.setflags(write=False)

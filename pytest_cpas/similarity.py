@@ -58,6 +58,18 @@ def umeyama(source: Array, target: Array) -> Similarity:
     return Similarity(scale, rotation, target_mean - moved)
 
 
+def rigid(source: Array, target: Array) -> tuple[Array, Array]:
+    """The least-squares rotation (3, 3) and translation (3,) from (N, 3) to (N, 3).
+
+    Of points on a line, one of the rotations that fit; of a single one, any.
+    """
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    u, _, vt = np.linalg.svd((target - target_mean).T @ (source - source_mean))
+    u[:, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    rotation = u @ vt
+    return rotation, target_mean - rotation @ source_mean
+
+
 def robust_umeyama(source: Array, target: Array, generator: np.random.Generator) -> Similarity:
     """The same from (N, 3) to (N, 3) with RANSAC, as the NOCS code and those after it do it.
 

@@ -62,7 +62,12 @@ def read_rgb(path: Path, camera: Camera) -> NDArray[np.float32]:
 
 
 def read_depth(path: Path, camera: Camera, per_metre: float = 1000.0) -> NDArray[np.float32]:
-    """16-bit depth of which ``per_metre`` units are a metre, as (H, W) float32 metres."""
+    """16-bit depth of which ``per_metre`` units are a metre, as (H, W) float32 metres.
+
+    The channel D of an ``.exr`` is taken for metres; what is not a positive number is missing.
+    """
+    if path.suffix == ".exr":
+        return _read_exr(path, camera)
     image = _read(path, camera, ("I;16", "I;16B"), "16-bit depth")
     return image.astype(np.float32) / np.float32(per_metre)
 
@@ -72,3 +77,33 @@ def read_ids(path: Path, camera: Camera) -> NDArray[np.uint8]:
     image = _read(path, camera, ("1", "L", "P", "RGB", "RGBA"), "8-bit instance ids")
     ids: NDArray[np.uint8] = (image if image.ndim == 2 else image[:, :, 0]).astype(np.uint8)
     return ids
+
+
+def _read_exr(path: Path, camera: Camera) -> NDArray[np.float32]:
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise ContractError(
+            f'{path}: reading OpenEXR images needs pip install "pytest-cpas[exr]" ({error})'
+        ) from error
+    try:
+        with OpenEXR.File(str(regular(path)), header_only=True) as file:
+            low, high = file.header()["dataWindow"]
+        width, height = (np.asarray(high) - np.asarray(low) + 1).tolist()
+        if (width, height) != (camera.width, camera.height):
+            raise ContractError(
+                f"{path}: {width} x {height} pixels, but the camera has"
+                f" {camera.width} x {camera.height}"
+            )
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = file.channels()
+            if "D" not in channels:
+                raise ContractError(f"{path}: channels {sorted(channels)}, expected D")
+            depth = np.array(channels["D"].pixels, dtype=np.float32)
+    except (RuntimeError, ValueError, KeyError, TypeError, OSError) as error:
+        if isinstance(error, ContractError):
+            raise
+        raise ContractError(
+            f"{path}: not a readable image ({error}); it is damaged or truncated, fetch it again"
+        ) from error
+    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))

@@ -15,7 +15,7 @@ import json
 import os
 import tempfile
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -58,6 +58,7 @@ class Scan:
         self._samples: list[SampleRef] = []
         self._details: list[Any] = []
         self._lacking: dict[str, list[str]] = defaultdict(list)
+        self._shapeless: Counter[str] = Counter()
         self._names: dict[str, set[str]] = {}
         self._digest = hashlib.sha256()
 
@@ -111,11 +112,19 @@ class Scan:
         """Something of ``kind`` is not there for ``where``; each kind is told once."""
         self._lacking[kind].append(where)
 
+    def lacks_shape(self, model: str) -> None:
+        """A sample of this model is listed, but there is no mesh of it; each model is told once."""
+        self._shapeless[model] += 1
+
     def index(self) -> Index:
         """What was found."""
         lacking = [
             f"{len(where)} {kind}, first {where[0]}: left out"
             for kind, where in sorted(self._lacking.items())
+        ]
+        lacking += [
+            f"mesh {model}.obj: shape metrics of {count} samples are n/a"
+            for model, count in sorted(self._shapeless.items())
         ]
         return Index(
             self._samples,

@@ -17,7 +17,7 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.size != np.prod(shape) or not np.isfinite(array).all():
-        seen = str(value)
+        seen = " ".join(str(value).split())
         seen = seen if len(seen) <= 120 else seen[:117] + "..."
         raise ContractError(f"{what}: {seen}, expected {np.prod(shape)} finite numbers")
     return array.reshape(shape)

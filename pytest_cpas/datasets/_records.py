@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import functools
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.datasets._images import read_ids
+from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._masks import visible
 from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._numbers import numbers
@@ -85,7 +90,7 @@ class RecordTree(Tree):
         mesh = None if record.mesh is None else self._mesh(record.mesh)
         if record.extents is not None:
             extents = numbers(record.extents, (3,), f"{ref.id}: extents")
-        elif mesh is not None:
+        elif isinstance(mesh, Mesh):
             extents = mesh.bounds[1] - mesh.bounds[0]
         else:
             raise ContractError(f"{ref.id}: neither extents nor a mesh")
@@ -116,5 +121,29 @@ class RecordTree(Tree):
             raise ContractError(f"{self.root / where}: nothing is seen of the object")
         return mask
 
-    def _read_mesh(self, name: str) -> Mesh:
+    def _read_mesh(self, name: str) -> Mesh | Array:
         return read_mesh(self.root / name, self.mesh_axes)
+
+    def add_seen(self, scan: Scan, listed: Sequence[tuple[SampleRef, Record]]) -> None:
+        """List the samples of which their mask has a pixel. This opens the masks."""
+        sizes = {record.mask: record.camera[:2] for _, record in listed if record.mask}
+
+        def ids(mask: str) -> set[int] | ContractError:
+            width, height = map(int, sizes[mask])
+            try:
+                seen = read_ids(self.root / mask, Camera(width, height, 1, 1, 0, 0))
+            except ContractError as error:
+                return error
+            return set(np.flatnonzero(np.bincount(seen.ravel())).tolist())
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            found = dict(zip(sizes, pool.map(ids, sizes), strict=True))
+        scan.damaged += [str(error) for error in found.values() if isinstance(error, ContractError)]
+        for ref, record in listed:
+            seen = found[record.mask or ""]
+            if isinstance(seen, ContractError):
+                continue
+            if record.mask_id in seen:
+                scan.add(ref, record)
+            else:
+                scan.lacks("objects that are hidden in their image", ref.id)

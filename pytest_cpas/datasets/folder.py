@@ -15,6 +15,7 @@ import numpy as np
 
 from pytest_cpas.datasets._files import below
 from pytest_cpas.datasets._index import Scan
+from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._numbers import numbers, quaternion_rotation
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets.nocs import symmetry_of
@@ -143,7 +144,7 @@ class Folder(RecordTree):
         return parse_symmetry(record.symmetry)
 
     def _read_mesh(self, name: str) -> Mesh:
-        mesh = super()._read_mesh(name)
+        mesh = read_mesh(self.root / name)
         low, high = mesh.bounds
         offset, diagonal = np.linalg.norm(low + high) / 2, np.linalg.norm(high - low)
         if offset > 0.01 * diagonal:
