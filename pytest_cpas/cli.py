@@ -32,7 +32,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     export.add_argument("results", type=Path, metavar="FILE")
     export.add_argument("--bop", type=Path, required=True, metavar="DIR", help="the data set")
     export.add_argument("--to", type=Path, required=True, metavar="CSV", help="what to write")
+    fetching = commands.add_parser(
+        "fetch",
+        help="fetch a data set, or the weights of a method",
+        description="Fetch a data set or the weights of a method from where they are published,"
+        " after showing size and licence; an interrupted download is gone on with. What a program"
+        " cannot fetch is explained step by step. The exit code is 0 if everything is there then.",
+    )
+    fetching.add_argument("name", metavar="NAME", help="such as real275, redwood75, sgpa")
+    fetching.add_argument("--to", required=True, type=Path, metavar="DIR", help="where to")
+    fetching.add_argument("--yes", action="store_true", help="agree to size and licence")
     known, others = parser.parse_known_args(arguments)
+    if known.command == "fetch":
+        if others:
+            fetching.error(f"unknown arguments: {' '.join(others)}")
+        return _fetch(known.name, known.to, known.yes)
     if known.command == "merge":
         return int(pytest.main([*(f"--cpas-merge={file}" for file in known.files), *others]))
     if others:
@@ -52,6 +66,27 @@ def _export_bop(known: argparse.Namespace) -> int:
         return 1
     print(f"{known.to}: {count} estimates")
     return 0
+
+
+def _fetch(name: str, to: Path, yes: bool) -> int:
+    from pytest_cpas.fetch import FetchError, fetch, find_source
+
+    def confirm(question: str) -> bool:
+        if yes:
+            return True
+        if not sys.stdin.isatty():
+            print(f"{question} Nobody can answer here; agree with --yes.", file=sys.stderr)
+            return False
+        return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+
+    try:
+        return 0 if fetch(find_source(name), to, confirm=confirm) else 1
+    except FetchError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on where it stopped", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

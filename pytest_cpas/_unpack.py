@@ -1,0 +1,191 @@
+"""Unpacking archives that strangers made: nothing gets outside of the folder, or out of hand."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import shutil
+import stat
+import tarfile
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from lzma import LZMAError
+from pathlib import Path, PurePosixPath
+from typing import IO
+
+#: An archive may unpack to at most that many times its size (text compresses to a tenth), or to
+#: :data:`_SMALL` bytes.
+MAX_RATIO = 100
+_SMALL = 2**20
+
+#: More members than that are no data set of ours.
+MAX_MEMBERS = 5_000_000
+
+
+class ArchiveError(ValueError):
+    """An archive is damaged, or would do harm."""
+
+
+@dataclass(frozen=True)
+class _File:
+    """A member: where it goes, how many bytes it declares, and how it is read."""
+
+    path: PurePosixPath
+    size: int
+    open: Callable[[], IO[bytes] | None]
+
+
+def unpack(archive: Path, folder: Path) -> int:
+    """Unpack a zip or tar archive into ``folder``, and return how many files it held.
+
+    Everything is checked before the first file is written, and written beside its place before the
+    first file is moved there. Raises :class:`ArchiveError`; then ``folder`` holds what it held.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    folder = folder.resolve()
+    try:
+        with ExitStack() as stack:
+            files = _members(archive, stack)
+            staging = Path(tempfile.mkdtemp(prefix=".unpacking-", dir=folder))
+            stack.callback(shutil.rmtree, staging, ignore_errors=True)
+            for file in files:
+                _write(file, staging / file.path)
+            _move(files, staging, folder)
+            return len(files)
+    except ArchiveError as error:
+        raise ArchiveError(f"{archive}: {error}") from None
+    except _DAMAGE as error:
+        raise ArchiveError(
+            f"{archive}: not a readable archive ({error}); is it truncated, or a web page?"
+        ) from error
+
+
+#: What the libraries raise on archives that are truncated or made up.
+_DAMAGE = (
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    LZMAError,
+    EOFError,
+    NotImplementedError,  # a compression that Python lacks
+    UnicodeError,
+    gzip.BadGzipFile,
+)
+
+
+def _members(archive: Path, stack: ExitStack) -> list[_File]:
+    if zipfile.is_zipfile(archive):
+        members = _zip_members(stack.enter_context(zipfile.ZipFile(archive)))
+    else:
+        tar = stack.enter_context(tarfile.open(archive))  # noqa: SIM115 - the stack closes it
+        members = _tar_members(tar)
+    size = archive.stat().st_size
+    limit = max(MAX_RATIO * size, _SMALL)
+    files: list[_File] = []
+    total = 0
+    for member in members:
+        files.append(member)
+        total += member.size
+        if total > limit or len(files) > MAX_MEMBERS:
+            raise ArchiveError(
+                f"it would unpack to more than {limit} bytes or {MAX_MEMBERS} files, from {size}"
+                " bytes; a bomb?"
+            )
+    free = shutil.disk_usage(archive.parent).free
+    if total > free:
+        raise ArchiveError(f"it would unpack to {total} bytes, {free} are free")
+    if not files:
+        raise ArchiveError("it holds no files")
+    _check_unique(files)
+    return files
+
+
+def _zip_members(archive: zipfile.ZipFile) -> Iterator[_File]:
+    packed = sum(info.compress_size for info in archive.infolist())
+    if archive.filename and packed > os.path.getsize(archive.filename):
+        raise ArchiveError("its members overlap; a bomb?")
+    for info in archive.infolist():
+        kind = stat.S_IFMT(info.external_attr >> 16)
+        if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+            raise ArchiveError(f"{info.filename!r} is a link or a device, expected files only")
+        if info.flag_bits & 1:
+            raise ArchiveError(f"{info.filename!r} is encrypted")
+        path = _checked(info.orig_filename)
+        if not info.is_dir():
+            yield _File(path, info.file_size, lambda info=info: archive.open(info))  # type: ignore[misc]
+
+
+def _tar_members(archive: tarfile.TarFile) -> Iterator[_File]:
+    # stricter than tarfile's filter "data", which lets some links pass; the content is written by
+    # us, so that owners and modes never matter
+    for info in archive:
+        if not (info.isreg() or info.isdir()):
+            raise ArchiveError(f"{info.name!r} is a link or a device, expected files only")
+        if info.isdir() and info.name in (".", "./"):
+            continue
+        path = _checked(info.name)
+        if info.isreg():
+            yield _File(path, info.size, lambda info=info: archive.extractfile(info))  # type: ignore[misc]
+
+
+def _checked(name: str) -> PurePosixPath:
+    """The path that a member names, if it stays within the folder on every system."""
+    path = PurePosixPath(name)
+    if (
+        not path.parts
+        or path.is_absolute()
+        or ".." in path.parts
+        or re.search(r"[\\\0]", name)
+        or re.match(r"[A-Za-z]:", name)
+    ):
+        raise ArchiveError(f"{name!r} leads out of the folder")
+    return path
+
+
+def _check_unique(files: Sequence[_File]) -> None:
+    """No file twice, also where case does not count, and none that is a folder as well."""
+    seen: set[str] = set()
+    for file in files:
+        key = str(file.path).casefold()
+        if key in seen:
+            raise ArchiveError(f"{str(file.path)!r} occurs twice")
+        seen.add(key)
+    for file in files:
+        for parent in file.path.parents:
+            if str(parent).casefold() in seen:
+                raise ArchiveError(f"{str(parent)!r} is a file and a folder")
+
+
+def _write(file: _File, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    content = file.open()
+    if content is None:
+        raise ArchiveError(f"{str(file.path)!r} has no content")
+    written = 0
+    with content, target.open("xb") as output:
+        while chunk := content.read(2**20):
+            written += len(chunk)
+            if written > file.size:
+                break
+            output.write(chunk)
+    if written != file.size:
+        raise ArchiveError(f"{str(file.path)!r} declares {file.size} bytes and has others")
+
+
+def _move(files: Sequence[_File], staging: Path, folder: Path) -> None:
+    """Move the files into place; a link that lies in the folder already is not followed."""
+    places = {folder / file.path: staging / file.path for file in files}
+    for parent in {parent for place in places for parent in place.relative_to(folder).parents}:
+        place = folder / parent
+        if place.is_symlink() or (place.exists() and not place.is_dir()):
+            raise ArchiveError(f"{place} is a link or a file, expected a folder; move it away")
+    for place, staged in places.items():
+        if place.is_symlink() or place.is_dir():
+            raise ArchiveError(f"{place} is a link or a folder, expected a file; move it away")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(staged, place)
