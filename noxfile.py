@@ -37,7 +37,7 @@ def demo(session: nox.Session) -> None:
 @nox.session
 def tests(session: nox.Session) -> None:
     """The project's own tests."""
-    install(session, "-e", ".[exr,fast,open3d,sdf,torch,xdist]", "--group", "test")
+    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
     session.run("pytest", "--numprocesses=2", *session.posargs, env=ENV)
 
 
@@ -52,7 +52,7 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """Static types, strict."""
-    install(session, "-e", ".[exr,fast,open3d,sdf,torch,xdist]", "--group", "types")
+    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "types")
     session.run("mypy")
 
 

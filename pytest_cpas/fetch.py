@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
-from typing import Any
 from urllib.parse import urlsplit
 
 from pytest_cpas import registry
@@ -26,53 +23,20 @@ from pytest_cpas._download import (
     write_text,
 )
 from pytest_cpas._unpack import ArchiveError, unpack
+from pytest_cpas.sources import Source, SourceFile, published_sources
 from pytest_cpas.types import Asset, MethodInfo
 
-__all__ = ["FetchError", "Source", "SourceFile", "fetch", "find_source"]
+__all__ = ["FetchError", "fetch", "find_source"]
 
 #: Pages that hand out files only to a browser.
 _FOR_BROWSERS = frozenset({"drive.google.com", "www.dropbox.com", "onedrive.live.com"})
 
 
-@dataclass(frozen=True)
-class SourceFile:
-    """A file to fetch: where it goes below the source's folder.
-
-    ``to``: the file's path; or ``unpack``: the folder of an archive's content. ``gives``: what must
-    then be there.
-    """
-
-    url: str
-    to: str = ""
-    unpack: str = ""
-    gives: str = ""
-
-    @property
-    def result(self) -> str:
-        """What must be there in the end."""
-        return self.gives or self.to
-
-
-@dataclass(frozen=True)
-class Source:
-    """What is published of a data set or a method, and what a person must do for the rest."""
-
-    name: str
-    about: str
-    licence: str
-    folder: str
-    file: Sequence[SourceFile] = ()
-    steps: Sequence[str] = ()
-
-
 def find_source(name: str) -> Source:
     """The source of a data set or of a method's weights; :class:`FetchError` for another name."""
-    text = Path(__file__).with_name("sources.toml").read_text(encoding="utf-8")
-    sources: dict[str, dict[str, Any]] = tomllib.loads(text)
+    sources = published_sources()
     if name in sources:
-        values = dict(sources[name])
-        files = [SourceFile(**entry) for entry in values.pop("file", ())]
-        return Source(name, file=files, **values)
+        return sources[name]
     methods = [entry.name for entry in registry.registered("method")]
     if name in methods:
         try:

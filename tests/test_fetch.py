@@ -17,7 +17,9 @@ import pytest
 from pytest_cpas import _download, _unpack, cli
 from pytest_cpas._download import Checksums, download
 from pytest_cpas._unpack import ArchiveError, unpack
-from pytest_cpas.fetch import FetchError, Source, SourceFile, fetch, find_source
+from pytest_cpas.fetch import FetchError, fetch, find_source
+from pytest_cpas.registry import resolve
+from pytest_cpas.sources import Source, SourceFile, how_to_get, published_sources
 
 requests = pytest.importorskip("requests")
 pytest.importorskip("pooch")
@@ -460,7 +462,10 @@ def test_damaged_file_is_fetched_again(server, source, tmp_path):
 
 def test_steps_are_told(tmp_path, capsys):
     assert cli.main(["fetch", "wild6d", "--to", str(tmp_path)]) == 1
-    assert "step 1, by hand: open https://github.com/OasisYang/Wild6D" in capsys.readouterr().out
+    assert (
+        "step 1, by hand: fetch test_set.zip from where https://github.com/OasisYang"
+        in capsys.readouterr().out
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -494,12 +499,24 @@ def test_unknown_name(capsys, tmp_path):
     assert "wild6d" in error
 
 
-@pytest.mark.parametrize("name", ["real275", "real_train", "camera25", "redwood75"])
+@pytest.mark.parametrize("name", ["real275", "real_train", "camera25", "redwood75", "tod"])
 def test_sources_are_complete(name):
     source = find_source(name)
     assert source.licence
     for file in source.file:
         assert bool(file.to) != bool(file.unpack and file.gives)
         assert file.url.startswith(("https://", "http://download.cs.stanford.edu/"))
-        assert not {"..", ""} & set(file.result.split("/"))
-    assert len(source.file) == {"real275": 4, "real_train": 2, "camera25": 3, "redwood75": 31}[name]
+        assert not {"..", ""} & set((file.to or file.gives).split("/"))
+    counts = {"real275": 4, "real_train": 2, "camera25": 3, "redwood75": 31, "tod": 30}
+    assert len(source.file) == counts[name]
+
+
+def test_every_published_data_set_says_how_to_get_it():
+    for name, source in published_sources().items():
+        text = how_to_get(name)
+        assert source.licence in text
+        assert "--cpas-data=DIR" in text
+        assert (f"pytest-cpas fetch {name} --to DIR" in text) == bool(source.file)
+        with pytest.raises(FileNotFoundError) as caught:
+            resolve("dataset", name)(None)
+        assert text in str(caught.value)

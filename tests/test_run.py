@@ -256,7 +256,7 @@ def test_collect_only_judges_nothing(recorded):
         (("--cpas-method=icp", "--cpas-dataset=real275"), "real_test.zip"),
         (
             ("--cpas-method=icp", "--cpas-dataset=real275", "--cpas-data=nowhere"),
-            "no real_test folder in",
+            "no real_test in",
         ),
         (("--cpas-method=tiny:NoInfo", "--cpas-dataset=tiny:Tiny"), "has no attribute info"),
         (("--cpas-method=tiny:Missing", "--cpas-dataset=tiny:Tiny"), "cannot be imported"),

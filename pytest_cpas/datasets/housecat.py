@@ -33,6 +33,7 @@ from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import ContractError, SampleRef, Symmetry
 
 CATEGORIES = (
@@ -50,18 +51,15 @@ CATEGORIES = (
 
 _MODELS = "obj_models_small_size_final"
 
-_DOWNLOAD = """\
-HouseCat6D is published under CC BY 4.0 at https://sites.google.com/view/housecat6d. Fetch the \
-test scenes and obj_models_small_size_final, unpack them into one folder, and pass it, or its \
-parent if it is called housecat6d, with --cpas-data DIR or CPAS_DATA."""
-
 
 class HouseCat6D(RecordTree):
     """The test scenes of HouseCat6D."""
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/housecat6d``; FileNotFoundError says how."""
-        super().__init__("housecat6d", find_root(("housecat6d",), data_dir, _MODELS, _DOWNLOAD))
+        super().__init__(
+            "housecat6d", find_root(("housecat6d",), data_dir, _MODELS, how_to_get("housecat6d"))
+        )
 
     def scan(self, scan: Scan) -> None:
         """List the labelled objects that are seen."""

@@ -34,6 +34,7 @@ from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import (
     CATEGORIES,
     Array,
@@ -54,16 +55,6 @@ REAL_CAMERA = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
 SYMMETRIC_CATEGORIES = frozenset({"bottle", "bowl", "can"})
 
 _FRAME_FILE = re.compile(r"(\d+)_(?:color|depth|mask|coord|meta)\.")
-
-_DOWNLOAD = """\
-REAL275 is published for non-commercial use, citation required ("Normalized Object Coordinate \
-Space", Wang et al. 2019). Fetch and unpack into one folder:
-  http://download.cs.stanford.edu/orion/nocs/real_test.zip    -> real_test/      (about 3.5 GB)
-  http://download.cs.stanford.edu/orion/nocs/gts.zip          -> gts/real_test/  (about 10 MB)
-  http://download.cs.stanford.edu/orion/nocs/obj_models.zip   -> obj_models/     (about 2 GB)
-  https://github.com/roym899/pose_and_shape_evaluation/releases/download/v1.0.0/\
-fixed_real_test_obj_models.zip -> fixed_real_test_obj_models/  (about 20 MB)
-and pass that folder, or its parent if it is called real275, with --cpas-data DIR or CPAS_DATA."""
 
 
 @functools.cache
@@ -261,7 +252,7 @@ class Real275(NocsTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
-        root = find_root(("real275",), data_dir, self.frames, _DOWNLOAD)
+        root = find_root(("real275",), data_dir, self.frames, how_to_get("real275"))
         super().__init__("real275", root, REAL_CAMERA)
 
 

@@ -36,6 +36,7 @@ from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import REAL_CAMERA, Listed, NocsTree, symmetry_of
 from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import (
     Camera,
     ContractError,
@@ -52,18 +53,6 @@ _LARGEST_DEPTH = 32.0  # metres
 
 #: Correspondences that a pose is fitted to; more only cost time.
 _FITTED = 4096
-
-
-def _download(name: str, folder: str, *archives: str) -> str:
-    files = "\n".join(
-        f"  http://download.cs.stanford.edu/orion/nocs/{archive}.zip" for archive in archives
-    )
-    return (
-        f'{name} is published for non-commercial use, citation required ("Normalized Object'
-        ' Coordinate Space", Wang et al. 2019). Fetch and unpack into one folder:\n'
-        f"{files}\nand pass that folder, or its parent if it is called {folder}, with"
-        " --cpas-data DIR or CPAS_DATA."
-    )
 
 
 class FittedTree(NocsTree):
@@ -167,8 +156,7 @@ class RealTrain(FittedTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
-        download = _download("real_train", "real275", "real_train", "obj_models")
-        root = find_root(("real275",), data_dir, self.frames, download)
+        root = find_root(("real275",), data_dir, self.frames, how_to_get("real_train"))
         super().__init__("real_train", root, REAL_CAMERA)
 
 
@@ -182,9 +170,7 @@ class Camera25(FittedTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir``, or ``camera25`` or ``real275`` in it."""
-        archives = ("camera_val25K", "camera_composed_depth", "obj_models")
-        download = _download("camera25", "camera25", *archives)
-        root = find_root(("camera25", "real275"), data_dir, self.frames, download)
+        root = find_root(("camera25", "real275"), data_dir, self.frames, how_to_get("camera25"))
         super().__init__("camera25", root, CAMERA_CAMERA)
         self._unit_mesh = functools.cache(self._read_unit_mesh)
 

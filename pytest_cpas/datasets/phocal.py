@@ -39,14 +39,10 @@ from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import SHAPENET_FROM_Z_UP, permute_extents
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import ContractError, SampleRef
 
 _TAXONOMY = "class_obj_taxonomy.json"
-
-_DOWNLOAD = """\
-PhoCaL is published at https://www.campar.in.tum.de/public_datasets/2022_cvpr_wang/, which states \
-its licence. Unpack it, and pass the folder with class_obj_taxonomy.json, or its parent if it is \
-called phocal or PhoCAL_release, with --cpas-data DIR or CPAS_DATA."""
 
 
 class PhoCaL(RecordTree):
@@ -60,7 +56,7 @@ class PhoCaL(RecordTree):
         Raises :class:`ContractError` if the taxonomy cannot be read.
         """
         names = ("phocal", "PhoCAL_release")
-        super().__init__("phocal", find_root(names, data_dir, _TAXONOMY, _DOWNLOAD))
+        super().__init__("phocal", find_root(names, data_dir, _TAXONOMY, how_to_get("phocal")))
 
     def scan(self, scan: Scan) -> None:
         """List the annotated objects that are seen in test images."""

@@ -30,6 +30,7 @@ from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._numbers import numbers, quaternion_rotation
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import (
     Camera,
     ContractError,
@@ -48,15 +49,6 @@ _SHAPENET_FROM_ANNOTATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0
 
 _CATEGORIES = ("bottle", "bowl", "mug")
 
-_DOWNLOAD = """\
-REDWOOD75 consists of annotations and meshes (MIT) and of frames of the Redwood scans (public \
-domain). Fetch into one folder:
-  annotations.json and the 15 .obj files: data/redwood_annotations of \
-https://github.com/roym899/sdfest
-  the frames of each sequence: https://s3.us-west-1.wasabisys.com/redwood-3dscan/rgbd/SEQUENCE.zip
-    -> CATEGORY/rgbd/SEQUENCE/{rgb,depth}/  (15 sequences; 5 frames of each are annotated)
-and pass that folder, or its parent if it is called redwood75, with --cpas-data DIR or CPAS_DATA."""
-
 
 class Redwood75(Tree):
     """REDWOOD75: 3 categories x 5 sequences x 5 frames.
@@ -72,7 +64,8 @@ class Redwood75(Tree):
         annotations cannot be read.
         """
         super().__init__(
-            "redwood75", find_root(("redwood75",), data_dir, "annotations.json", _DOWNLOAD)
+            "redwood75",
+            find_root(("redwood75",), data_dir, "annotations.json", how_to_get("redwood75")),
         )
         self._mesh = functools.cache(self._read_mesh)
 
@@ -95,7 +88,7 @@ class Redwood75(Tree):
         if scan.absent:
             scan.missing.append(
                 f"the frames of {len(scan.absent)} samples, first {scan.absent[0]}: left out."
-                f"\n{_DOWNLOAD}"
+                f"\n{how_to_get('redwood75')}"
             )
 
     def _read_sequence(
@@ -128,7 +121,9 @@ class Redwood75(Tree):
         """Read one sample; :class:`ContractError` names the file that is damaged or missing."""
         rgb_path, depth_path = (self.root / path for path in _frame(ref, self._details[ref.id]))
         if ref.id in self.absent:
-            raise ContractError(f"{rgb_path} or {depth_path}: no such file. {_DOWNLOAD}")
+            raise ContractError(
+                f"{rgb_path} or {depth_path}: no such file. {how_to_get('redwood75')}"
+            )
         truth = self.truth(ref)
         depth = self._read_depth(depth_path, REDWOOD_CAMERA)
         mask = visible(self._mesh(self._details[ref.id]["mesh"]), truth.pose, depth, REDWOOD_CAMERA)

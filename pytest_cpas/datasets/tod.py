@@ -37,6 +37,7 @@ from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import SHAPENET_FROM_Z_UP
 from pytest_cpas.similarity import rigid
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import Array, ContractError, SampleRef, Symmetry
 
 CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
@@ -48,13 +49,6 @@ _SYMMETRIES = {
 }
 
 _CAMERA = ("resx", "resy", "fx", "fy", "cx", "cy")
-
-_DOWNLOAD = """\
-TOD: fetch https://storage.googleapis.com/keypose-transparent-object-dataset/OBJECT.zip for each \
-of ball_0, bottle_0..2, cup_0..1, mug_0..6, heart_0, tree_0 and unpack them to DIR/data/, and the \
-folder keypose/objects of https://github.com/google-research/google-research, which states the \
-licence, to DIR/objects/. Pass DIR, or its parent if it is called tod, with --cpas-data DIR or \
-CPAS_DATA. Reading its depth needs pip install "pytest-cpas[exr]"."""
 
 
 class Model(NamedTuple):
@@ -69,7 +63,7 @@ class Tod(RecordTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/tod``; FileNotFoundError says how."""
-        super().__init__("tod", find_root(("tod",), data_dir, "objects", _DOWNLOAD))
+        super().__init__("tod", find_root(("tod",), data_dir, "objects", how_to_get("tod")))
 
     def scan(self, scan: Scan) -> None:
         """List the frames of the objects of which there is a model."""

@@ -29,16 +29,12 @@ from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import ContractError, SampleRef
 
 CATEGORIES = ("bottle", "bowl", "camera", "laptop", "mug")
 
 _ANNOTATIONS = "test_set/pkl_annotations"
-
-_DOWNLOAD = """\
-Wild6D is published for academic research at https://oasisyang.github.io/semi-pose/. Fetch \
-test_set.zip, unpack it to DIR/test_set/, and pass DIR, or its parent if it is called wild6d or \
-Wild6D, with --cpas-data DIR or CPAS_DATA."""
 
 
 class Wild6D(RecordTree):
@@ -46,7 +42,7 @@ class Wild6D(RecordTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``wild6d`` in it; FileNotFoundError says how."""
-        root = find_root(("wild6d", "Wild6D"), data_dir, _ANNOTATIONS, _DOWNLOAD)
+        root = find_root(("wild6d", "Wild6D"), data_dir, _ANNOTATIONS, how_to_get("wild6d"))
         super().__init__("wild6d", root)
 
     def scan(self, scan: Scan) -> None:

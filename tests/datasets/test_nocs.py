@@ -214,7 +214,7 @@ def test_damaged_extents_file(tree):
 
 def test_without_a_folder_the_error_says_what_to_fetch(tmp_path):
     for folder in (None, tmp_path):
-        with pytest.raises(FileNotFoundError, match=r"(?s)gts\.zip.*GB.*--cpas-data DIR"):
+        with pytest.raises(FileNotFoundError, match=r"(?s)gts\.zip.*--cpas-data=DIR"):
             Real275(folder)
 
 

@@ -206,5 +206,5 @@ def test_without_a_folder_the_error_says_what_to_fetch(tmp_path, load) -> None:
     assert issubclass(load, FittedTree)
     assert issubclass(load, NocsTree)
     for folder in (None, tmp_path):
-        with pytest.raises(FileNotFoundError, match=r"(?s)orion/nocs/.*\.zip.*--cpas-data DIR"):
+        with pytest.raises(FileNotFoundError, match=r"(?s)orion/nocs/.*\.zip.*--cpas-data=DIR"):
             load(folder)

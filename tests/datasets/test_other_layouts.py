@@ -373,7 +373,7 @@ def test_missing_meshes_are_named_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("write", "load"), WRITERS)
 def test_parent_folder_is_accepted_or_told_what_to_fetch(tmp_path, write, load) -> None:
     for given in (None, tmp_path):
-        with pytest.raises(FileNotFoundError, match=r"(?s)https://.*--cpas-data DIR"):
+        with pytest.raises(FileNotFoundError, match=r"(?s)https://.*--cpas-data=DIR"):
             load(given)
     write(tmp_path / "tree")
     data = load(tmp_path / "tree")

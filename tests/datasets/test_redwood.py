@@ -103,7 +103,7 @@ def test_without_frames_the_error_says_what_to_fetch(published: Path) -> None:
     with pytest.raises(ContractError) as caught:
         data.load(data.samples[0])
     for text in (line, str(caught.value)):
-        assert "redwood-3dscan/rgbd/SEQUENCE.zip" in text
+        assert "redwood-3dscan/rgbd/01748.zip" in text
         assert "--cpas-data" in text
 
 
@@ -115,7 +115,7 @@ def test_run_without_frames_is_a_usage_error(cpas, published: Path, pytester) ->
         *("-p", "no:dash", "-p", "no:cacheprovider"),
     )
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    assert "redwood-3dscan/rgbd/SEQUENCE.zip" in result.stderr.str()
+    assert "redwood-3dscan/rgbd/01748.zip" in result.stderr.str()
 
 
 def test_masks_and_depth_agree_with_rendered_frames(published: Path, tmp_path: Path) -> None:
@@ -282,5 +282,5 @@ def test_digest_tells_contents_apart(tree) -> None:
 
 def test_without_a_folder_the_error_says_what_to_fetch(tmp_path: Path) -> None:
     for folder in (None, tmp_path):
-        with pytest.raises(FileNotFoundError, match=r"(?s)annotations\.json.*--cpas-data DIR"):
+        with pytest.raises(FileNotFoundError, match=r"(?s)annotations\.json.*--cpas-data=DIR"):
             Redwood75(folder)
