@@ -107,6 +107,8 @@ def test_wheel_holds_everything(tmp_path):
     assert {
         "pytest_cpas/py.typed",
         "pytest_cpas/suite/test_samples.py",
+        "pytest_cpas/sources.toml",
+        "pytest_cpas/datasets/real275.known.toml",
         "pytest_cpas/golden/recorded/icp/synthetic-tabletop/table.toml",
         "pytest_cpas/golden/recorded/icp/synthetic-handheld/samples.csv",
         "method_adapters/py.typed",

@@ -292,7 +292,7 @@ def _range(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=8)
 def _mesh_key(mesh: Mesh) -> str:
     return _digest(mesh.vertices, mesh.triangles)
 

@@ -15,6 +15,7 @@ from pytest_cpas._open3d import import_open3d
 from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.dataset_facts import ImageFacts, MeshFacts, SampleFacts, Survey
+from pytest_cpas.checks.dataset_report import draw_up_axes, print_survey
 from pytest_cpas.checks.dataset_verdicts import (
     KnownFault,
     Verdict,
@@ -24,7 +25,6 @@ from pytest_cpas.checks.dataset_verdicts import (
     read_known_faults,
 )
 from pytest_cpas.evaluation import Selection
-from pytest_cpas.report.datasets import draw_up_axes, print_survey
 from pytest_cpas.results import ResultsError, Shard
 from pytest_cpas.types import ContractError, Dataset, SampleRef
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import inspect
 import tomllib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
@@ -104,7 +105,9 @@ def judge(survey: Survey, check: str, known: Sequence[KnownFault] = ()) -> Verdi
     happened = [fault for fault in known if any(fault.covers(p) for p in problems)]
     lines = [str(problem) for problem in new[:_NAMED]]
     if len(new) > _NAMED:
-        lines.append(f"and {len(new) - _NAMED} more")
+        counts = Counter(problem.model or problem.category for problem in new)
+        shares = ", ".join(f"{name} {count}" for name, count in counts.most_common(_NAMED))
+        lines.append(f"and {len(new) - _NAMED} more; of all {len(new)}: {shares}")
     if survey.complete:
         lines += [
             f"known fault does not happen any more, take it out: {fault} ({fault.reason})"

@@ -155,6 +155,13 @@ def mesh_without_faces(tree):
     return "readable", "mug_0.obj"
 
 
+def extents_of_nothing(tree):
+    (tree / "fixed_real_test_obj_models" / "mug_0.obj").unlink()
+    (tree / "obj_models" / "real_test" / "mug_0.obj").unlink()
+    (tree / "obj_models" / "real_test" / "mug_0.txt").write_text("0.1 0 0.1")
+    return "readable", "extents: "
+
+
 def depth_that_is_off(tree):
     edit_image(tree / STEM, lambda depth: np.where(depth > 0, depth + 25, 0).astype(depth.dtype))
     return "depth", "median difference +2"
@@ -182,6 +189,7 @@ PLANTED = [
     truncated_image,
     not_a_number,
     mesh_without_faces,
+    extents_of_nothing,
     behind_the_camera,
     millimetres,
     beside_the_image,
@@ -237,6 +245,10 @@ def test_half_extents(sane):
     assert list(found) == ["extents"]
     assert len(found["extents"]) == 12
     assert "are they half extents?" in str(found["extents"][0])
+    lines = judge(survey(Half(sane)), "extents").message.splitlines()
+    assert len(lines) == 11
+    assert lines[-1].startswith("and 2 more; of all 12: ")
+    assert "mug_0 2" in lines[-1]
 
 
 def test_without_meshes_the_mask_is_held_against_the_box(sane):
