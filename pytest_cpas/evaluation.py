@@ -173,9 +173,11 @@ class Run(ABC):
     to be comparable, ``provenance`` what else should be known of this one. ``seeds`` is how often
     each sample is judged. ``info`` is what the method declares, None where only rows are left.
     ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
+    ``under_contract``: it is a method's first run, which has the checks of the contract.
     """
 
     seeds = 1
+    under_contract = False
     info: MethodInfo | None = None
     quick_truth = True
     focal: float | None = None
@@ -237,6 +239,7 @@ class MethodRun(Run):
         self._method, self._dataset = method, dataset
         self._weights, self._device = weights, device
         self.seed, self.seeds, self.shared = seed, seeds, shared
+        self.under_contract = shared is None
         self.info = method.info
         self.quick_truth = hasattr(dataset, "truth")
         camera = getattr(dataset, "camera", None)

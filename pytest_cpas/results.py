@@ -1,9 +1,9 @@
 """Rows on disk, as they come: what lets a killed run go on, and shards be judged together.
 
 A results file is append-only text, one JSON value per line, each line preceded by its CRC-32. The
-first line says what run it belongs to, every other one holds a row or what went wrong with a
-sample. A last line that was cut off when the writer was killed is dropped; any other damage is an
-error.
+first line says what run it belongs to, every other one holds a row, what went wrong with a sample,
+or what a check of the contract found. A last line that was cut off when the writer was killed is
+dropped; any other damage is an error.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 from pytest_cpas.evaluation import Row, Run, SampleError
 from pytest_cpas.types import SampleRef
 
-FORMAT = 3
+FORMAT = 4
 
 
 class ResultsError(Exception):
@@ -61,6 +61,7 @@ class Header:
     identity: Mapping[str, str]
     provenance: Mapping[str, str]
     seeds: int
+    under_contract: bool
 
     @classmethod
     def of(cls, run: Run, shard: Shard) -> Header:
@@ -76,6 +77,7 @@ class Header:
             dict(run.identity),
             dict(run.provenance),
             run.seeds,
+            run.under_contract,
         )
 
 
@@ -83,7 +85,7 @@ class Header:
 class Results:
     """What a results file holds: rows by sample, and errors of samples without a row.
 
-    ``refs`` has both kinds of samples.
+    ``refs`` has both kinds of samples; ``contract`` what each check of the contract found.
     """
 
     path: Path
@@ -91,6 +93,7 @@ class Results:
     refs: Mapping[str, SampleRef]
     rows: Mapping[str, Row]
     errors: Mapping[str, str]
+    contract: Mapping[str, Mapping[str, Any]]
     size: int  # bytes up to the end of the last whole line
 
 
@@ -109,6 +112,7 @@ def read_results(path: Path) -> Results:
     refs: dict[str, SampleRef] = {}
     rows: dict[str, Row] = {}
     errors: dict[str, str] = {}
+    contract: dict[str, Mapping[str, Any]] = {}
     size = 0
     for number, line in enumerate(content.split(b"\n")[:-1], 1):  # the rest was cut off
         crc, _, text = line.partition(b" ")
@@ -125,6 +129,9 @@ def read_results(path: Path) -> Results:
                     raise ValueError(f"format {value['format']}, this version reads {FORMAT}")
                 header = Header(**value["header"])
                 continue
+            if "contract" in value:
+                contract[value["contract"]["check"]] = value["contract"]
+                continue
             ref = SampleRef(*value["ref"])
             refs[ref.id] = ref
             if "row" in value:
@@ -138,7 +145,7 @@ def read_results(path: Path) -> Results:
             ) from error
     if header is None:
         raise ResultsError(f"{path}: does not begin with the header of a results file")
-    return Results(path, header, refs, rows, errors, size)
+    return Results(path, header, refs, rows, errors, contract, size)
 
 
 class ResultsFile:
@@ -154,6 +161,7 @@ class ResultsFile:
         self.header = Header.of(run, shard)
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
         self.rows: Mapping[str, Row] = {}
+        self._contract: Mapping[str, Mapping[str, Any]] = {}
         self._size = 0
         self._file: io.RawIOBase | None = None
         if self.path.exists():
@@ -164,7 +172,7 @@ class ResultsFile:
                     f"{self.path} holds another run: {'; '.join(differences)}. Remove it, or name"
                     " another folder"
                 )
-            self.rows, self._size = found.rows, found.size
+            self.rows, self._contract, self._size = found.rows, found.contract, found.size
 
     def __enter__(self) -> ResultsFile:
         """Start writing: a new file with its header, or after the last whole line."""
@@ -193,6 +201,11 @@ class ResultsFile:
     def add_error(self, sample: str, message: str) -> None:
         """Append why a sample has no row; a later run tries it again."""
         self._write(_line("error", message, ref=self._refs[sample]))
+
+    def add_contract(self, result: Mapping[str, Any]) -> None:
+        """Append what a check of the contract found, unless that is what an earlier run found."""
+        if self._contract.get(result["check"]) != result:
+            self._write(_line("contract", result))
 
     def _write(self, line: str) -> None:
         if self._file is None:
@@ -242,6 +255,9 @@ class MergedRun(Run):
         self.listed = Counter(header.listed)
         self.provenance = header.provenance
         self.seeds = header.seeds
+        self.under_contract = header.under_contract
+        #: What the checks of the contract found, shard by shard.
+        self.contract = [part.contract for part in parts]
 
     def judge(self, ref: SampleRef) -> Row:
         """The stored row; raises the stored error."""

@@ -20,7 +20,7 @@ import pytest
 from pytest_cpas import registry
 from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
 from pytest_cpas.checks import CONTRACT, ContractResult
-from pytest_cpas.checks.contract_stage import ContractStage
+from pytest_cpas.checks.contract_stage import ContractStage, StoredStage
 from pytest_cpas.comparison import GOOD, Verdict, Word, compare
 from pytest_cpas.diagnosis import Finding
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
@@ -30,7 +30,7 @@ from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.robustness import print_curves
 from pytest_cpas.report.terminal import print_run
-from pytest_cpas.results import ResultsError, ResultsFile, Shard, merge
+from pytest_cpas.results import MergedRun, ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.robustness import perturbation_of, perturbed
 from pytest_cpas.snapshot import golden_folder
 from pytest_cpas.types import ContractError, Dataset, Method, MethodInfo
@@ -70,7 +70,8 @@ class CpasSession(SuiteSession):
     def stage(self, run: Run) -> ContractStage | None:
         """The contract of a run's method, if it is checked."""
         first = run.shared if isinstance(run, MethodRun) else None
-        return self.stages.get(first or run)
+        stage = self.stages.get(first or run)
+        return stage if isinstance(stage, ContractStage) else None
 
     # -- items ------------------------------------------------------------------------------
 
@@ -82,7 +83,9 @@ class CpasSession(SuiteSession):
             if item.path != self._suite or not callspec or "check" not in callspec.params:
                 continue
             if self.stages:
-                self.stages[callspec.params["run"]].asked = True
+                stage = self.stages[callspec.params["run"]]
+                if isinstance(stage, ContractStage):
+                    stage.asked = True
             else:  # what pytest makes of no values for a parameter
                 items.remove(item)
 
@@ -109,6 +112,8 @@ class CpasSession(SuiteSession):
                     file.add(row)
                 for sample, message in content["errors"]:
                     file.add_error(sample, message)
+                if content["contract"]:
+                    file.add_contract(content["contract"])
             except ResultsError as error:
                 pytest.exit(str(error))
         if content["contract"]:
@@ -279,15 +284,17 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     return runs
 
 
-def _contract_stages(runs: Sequence[Run]) -> dict[Run, ContractStage]:
+def _contract_stages(runs: Sequence[Run]) -> dict[Run, ContractStage | StoredStage]:
+    stages: dict[Run, ContractStage | StoredStage] = {}
     try:
-        return {
-            run: ContractStage(run)
-            for run in runs
-            if isinstance(run, MethodRun) and run.shared is None  # once for runs that share it
-        }
+        for run in runs:
+            if isinstance(run, MethodRun) and run.under_contract:
+                stages[run] = ContractStage(run)
+            elif isinstance(run, MergedRun) and run.under_contract:
+                stages[run] = StoredStage(run.contract)
     except ContractError as error:
         raise pytest.UsageError(str(error)) from error
+    return stages
 
 
 def _method_runs(

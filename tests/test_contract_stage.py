@@ -64,13 +64,25 @@ def test_samples_are_judged_when_the_contract_is_left_out(recorded):
     result.stdout.fnmatch_lines(["6 of 12 samples judged", "golden: REGRESSED mug*"])
 
 
-def test_merged_results_have_no_contract(recorded, pytester):
-    recorded("Perfect", "--cpas-results=out")
+def test_merged_results_have_the_contract_of_their_shards(cpas, pytester):
+    for index in (1, 2):
+        cpas("Shifts", f"--cpas-shard={index}/2", "--cpas-results=out")
+    merged = [f"--cpas-merge={path}" for path in (pytester.path / "out").iterdir()]
+    result = pytester.runpytest_inprocess(*RUN, *merged)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["contract: *violated: *batch*", "12 of 12 samples judged"])
+    result = pytester.runpytest_inprocess(*RUN, "--snapshot-update", *merged)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["golden: NOT RECORDED: *"])
+    assert not list((pytester.path / "golden").iterdir())
+
+
+def test_merged_shards_without_the_contract_are_not_recorded(cpas, pytester):
+    cpas("Perfect", "--cpas-results=out", "-k", "not contract")
     (path,) = (pytester.path / "out").iterdir()
-    result = pytester.runpytest_inprocess(*RUN, f"--cpas-merge={path}")
-    assert result.ret == 0
-    result.stdout.no_fnmatch_line("contract:*")
-    assert result.parseoutcomes() == {"passed": 15}
+    result = pytester.runpytest_inprocess(*RUN, "--snapshot-update", f"--cpas-merge={path}")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["golden: NOT RECORDED: the contract of the method was not *"])
 
 
 def test_golden_table_needs_the_contract(cpas, pytester):

@@ -7,12 +7,14 @@ import xml.etree.ElementTree as ET
 import pytest
 from harness import RUN
 
-#: What the golden table was recorded with, what is run, the exit code.
+from pytest_cpas.checks import CONTRACT
+
+#: What the golden table was recorded with, what is run on what, the exit code.
 CASES = {
-    "good": ("Perfect", "Perfect", 0),
-    "regressed": ("Perfect", "Biased", 1),
-    "improved": ("Biased", "Perfect", 1),
-    "incomplete": ("Perfect", "Raises", 1),
+    "good": ("Perfect", "Perfect", "Tiny", 0),
+    "regressed": ("Perfect", "Biased", "Tiny", 1),
+    "improved": ("Biased", "Perfect", "Tiny", 1),
+    "incomplete": ("Perfect", "Perfect", "Torn", 1),
 }
 
 #: An ssh that runs the command on this machine, from another folder, as another login would.
@@ -44,18 +46,20 @@ def run(cpas, pytester, hosts):
         "ssh": hosts,
     }
 
-    def run(how: str, method: str) -> tuple[pytest.RunResult, dict[str, tuple[str, str]]]:
+    def run(
+        how: str, method: str, dataset: str
+    ) -> tuple[pytest.RunResult, dict[str, tuple[str, str]]]:
         junit = "--junitxml=junit.xml"
         if how == "shards":
             for index in (1, 2, 3):
-                cpas(method, f"--cpas-shard={index}/3", "--cpas-results=out")
+                cpas(method, f"--cpas-shard={index}/3", "--cpas-results=out", dataset=dataset)
             parts = sorted((pytester.path / "out").iterdir())
             merged = [f"--cpas-merge={path}" for path in parts]
             result = pytester.runpytest_inprocess(*RUN, junit, *merged)
         elif how == "serial":
-            result = cpas(method, junit)
+            result = cpas(method, junit, dataset=dataset)
         else:
-            names = (f"--cpas-method=tiny:{method}", "--cpas-dataset=tiny:Tiny")
+            names = (f"--cpas-method=tiny:{method}", f"--cpas-dataset=tiny:{dataset}")
             result = pytester.runpytest_subprocess(*RUN, *names, junit, *ways[how])
         return result, _cases(pytester.path / "junit.xml")
 
@@ -82,11 +86,11 @@ def _summary(result: pytest.RunResult) -> list[str]:
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("how", ["-n2", "worksteal", "shards", "ssh"])
 def test_spread_out_like_in_one_process(run, cpas, how, case):
-    recorded, method, code = CASES[case]
+    recorded, method, dataset, code = CASES[case]
     assert cpas(recorded, "--snapshot-update").ret == 0
-    serial, serial_cases = run("serial", method)
-    spread, cases = run(how, method)
+    serial, serial_cases = run("serial", method, dataset)
+    spread, cases = run(how, method, dataset)
     assert (serial.ret, spread.ret) == (code, code)
     assert _summary(spread) == _summary(serial)
     assert cases == serial_cases
-    assert len(cases) == 15
+    assert len(cases) == 1 + len(CONTRACT) + 12 + 2  # listing, contract, samples, verdicts

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from harness import RUN
 
+from pytest_cpas.checks import CONTRACT
 from pytest_cpas.cli import main
 from pytest_cpas.results import Shard, merge, read_results
 
@@ -63,7 +64,7 @@ def test_failed_sample_of_a_shard_fails_the_merged_run(pytester, shards):
     files = shards("Raises", 2)
     merged = pytester.runpytest_inprocess(*RUN, *(f"--cpas-merge={file}" for file in files))
     assert merged.ret == 1
-    merged.assert_outcomes(passed=13, failed=1, skipped=1)
+    merged.assert_outcomes(passed=29, failed=1, skipped=8)
     merged.stdout.fnmatch_lines(["*the method raised RuntimeError('the network exploded')*"])
 
 
@@ -210,7 +211,7 @@ def test_full_disk_ends_the_run_and_loses_nothing(recorded, pytester):
         """
         import resource
         def pytest_runtestloop():
-            resource.setrlimit(resource.RLIMIT_FSIZE, (3000, resource.RLIM_INFINITY))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (6000, resource.RLIM_INFINITY))
         """
     )
     result = pytester.runpytest_subprocess(*RUN, *names)
@@ -268,7 +269,10 @@ def test_killed_runs_end_with_the_same_table(recorded, pytester, how):
 def test_files_are_plain_json_behind_their_checksum(recorded, pytester):
     recorded("Refuses", "--cpas-results=out")
     (path,) = (pytester.path / "out").iterdir()
-    header, *rows = [json.loads(line[9:]) for line in path.read_text().splitlines()]
+    header, *found = [json.loads(line[9:]) for line in path.read_text().splitlines()]
+    rows = [value for value in found if "row" in value]
     assert header["header"]["listed"] == {"bowl": 6, "mug": 6}
     assert {row["row"]["failure"] for row in rows} == {None, "too few points"}
+    assert {v["contract"]["check"] for v in found if "contract" in v} == CONTRACT.keys()
+    assert len(found) == len(rows) + len(CONTRACT) == 12 + len(CONTRACT)
     assert [run.method for run in merge([path])] == ["perfect"]

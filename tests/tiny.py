@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_cpas.types import (
     Camera,
+    ContractError,
     GroundTruth,
     Hypothesis,
     MethodInfo,
@@ -64,6 +65,15 @@ class Tiny:
 
 class Renewed(Tiny):
     digest = "tiny-2"
+
+
+class Torn(Tiny):
+    """One sample cannot be read."""
+
+    def load(self, ref: SampleRef) -> Sample:
+        if ref.id == "scene_1/0005":
+            raise ContractError("0005_depth.png is truncated")
+        return super().load(ref)
 
 
 class Damaged(Tiny):
@@ -247,3 +257,14 @@ class Inexact(Perfect):
 
 class DeclaredInexact(Inexact):
     info = replace(Perfect.info, deterministic=False)
+
+
+class Shifts(Perfect):
+    """In a batch, each answer is further off than the one before."""
+
+    def predict(self, batch: list[Observation], seed: int) -> list[Prediction]:
+        best = [prediction.hypotheses[0] for prediction in super().predict(batch, seed)]
+        return [
+            Prediction((replace(hypothesis, translation=hypothesis.translation + 1e-3 * index),))
+            for index, hypothesis in enumerate(best)
+        ]

@@ -6,9 +6,10 @@ import functools
 import inspect
 import tomllib
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,13 @@ from pytest_cpas.checks.subject import Outcome
 from pytest_cpas.evaluation import MethodError, MethodRun
 from pytest_cpas.types import ContractError, Method, Sample, SampleRef
 
-__all__ = ["ContractStage", "KnownViolation", "known_violations", "smoke_samples"]
+__all__ = [
+    "ContractStage",
+    "KnownViolation",
+    "StoredStage",
+    "known_violations",
+    "smoke_samples",
+]
 
 #: Samples that the checks look at.
 SMOKE_SAMPLES = 4
@@ -113,15 +120,22 @@ class ContractStage:
         )
 
     def result(self, check: ContractCheck) -> ContractResult:
-        """What a check found."""
+        """What a check found; a known violation that does not happen is known all the same, of a
+        complete run."""
         if check.name not in self._results:
             try:
-                self._results[check.name] = check_contract(self._subject, check)
+                result = check_contract(self._subject, check)
             except MethodError as error:
                 first = check.name == next(iter(CONTRACT))
-                self._results[check.name] = ContractResult(
-                    check.name, Outcome.RAISED if first else Outcome.NOT_OFFERED, True, str(error)
-                )
+                outcome = Outcome.RAISED if first else Outcome.NOT_OFFERED
+                result = ContractResult(check.name, outcome, True, str(error))
+            known = self.known.get(check.name)
+            if known is not None and result.violated:
+                message = f"{known.reason} {result.message}"
+                result = replace(result, known=True, message=message)
+            elif known is not None and self.complete:
+                result = replace(result, known=True)
+            self._results[check.name] = result
         return self._results[check.name]
 
     @property
@@ -138,5 +152,19 @@ class ContractStage:
         return "; ".join(
             f"{result.check}: {result.message}"
             for result in results
-            if result.wrong and result.check not in self.known
+            if result.wrong and not result.known
         )
+
+
+class StoredStage:
+    """The same of merged shards: of each check, the worst that a shard has found."""
+
+    def __init__(self, shards: Sequence[Mapping[str, Mapping[str, Any]]]) -> None:
+        """From what each shard stored, by check."""
+        found = [ContractResult(**result) for shard in shards for result in shard.values()]
+        found.sort(key=lambda result: (result.violated, not result.known))
+        self._results = {result.check: result for result in found}
+
+    def result(self, check: ContractCheck) -> ContractResult | None:
+        """What the shards found; None if none of them ran the check."""
+        return self._results.get(check.name)
