@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit
 
+import filelock
+
 from pytest_cpas import registry
 from pytest_cpas._download import (
     Checksums,
@@ -93,8 +95,13 @@ def fetch(
             tell(f"  {_megabytes(announced_size(file.url)):>12}  {file.url}")
         if not confirm(f"Fetch {len(wanted)} files under these terms?"):
             return False
-    for file in wanted:
-        _fetch_file(file, folder, kept, tell)
+        kept.mkdir(parents=True, exist_ok=True)
+        try:
+            with filelock.FileLock(kept / "lock", timeout=0):
+                for file in wanted:
+                    _fetch_file(file, folder, kept, tell)
+        except filelock.Timeout as error:
+            raise FetchError(f"another fetch is at work in {folder}; wait for it") from error
     if source.file:
         tell(f"{len(source.file)} files are there")
     for number, step in enumerate(source.steps, start=1):
@@ -124,7 +131,6 @@ def _is_done(file: SourceFile, folder: Path, kept: Path) -> bool:
 
 
 def _fetch_file(file: SourceFile, folder: Path, kept: Path, tell: Callable[[str], None]) -> None:
-    kept.mkdir(parents=True, exist_ok=True)
     sums = Checksums(kept)
     if not file.unpack:
         digest = download(file.url, folder / file.to, sums.get(file.to))

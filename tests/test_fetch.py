@@ -5,13 +5,17 @@ import io
 import re
 import stat
 import struct
+import subprocess
+import sys
 import tarfile
 import threading
+import time
 import zipfile
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import filelock
 import pytest
 
 from pytest_cpas import _download, _unpack, cli
@@ -149,6 +153,26 @@ def test_next_command_goes_on(server, tmp_path):
     assert (tmp_path / "a.bin").read_bytes() == CONTENT
     assert server.gets()[-1] == "bytes=65536-"
     assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_killed_download_is_gone_on_with(server, tmp_path):
+    url = server.url("a.bin", CONTENT, cut=[200_000], stall=60)
+    code = f"""
+from pathlib import Path
+from pytest_cpas._download import download
+download({url!r}, Path({str(tmp_path / "a.bin")!r}), None)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL) as process:
+        part, deadline = tmp_path / "a.bin.part", time.monotonic() + 30
+        while not (part.is_file() and part.stat().st_size) and time.monotonic() < deadline:
+            threading.Event().wait(0.05)
+        process.kill()
+    have = part.stat().st_size
+    assert 0 < have < len(CONTENT)
+    server.files["/a.bin"].stall = 0
+    download(url, tmp_path / "a.bin", None)
+    assert (tmp_path / "a.bin").read_bytes() == CONTENT
+    assert server.gets() == [None, f"bytes={have}-"]
 
 
 @pytest.mark.parametrize(
@@ -444,6 +468,15 @@ def test_bad_archive_is_not_trusted(server, source, tmp_path):
         run(source, tmp_path)
     assert not (tmp_path / "own/.fetched/data.zip").exists()
     server.url("data.zip", zipped(*GOOD))
+    assert run(source, tmp_path)[0]
+
+
+def test_two_at_once(server, source, tmp_path):
+    (tmp_path / "own/.fetched").mkdir(parents=True)
+    lock = filelock.FileLock(tmp_path / "own/.fetched/lock")
+    with lock, pytest.raises(FetchError, match="another fetch is at work"):
+        run(source, tmp_path)
+    assert server.gets() == []
     assert run(source, tmp_path)[0]
 
 
