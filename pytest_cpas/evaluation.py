@@ -241,7 +241,7 @@ class MethodRun(Run):
         self.seed, self.seeds, self.shared = seed, seeds, shared
         self.under_contract = shared is None
         self.info = method.info
-        self.quick_truth = hasattr(dataset, "truth")
+        self.quick_truth = getattr(dataset, "quick_truth", hasattr(dataset, "truth"))
         camera = getattr(dataset, "camera", None)
         self.focal = camera.fx if isinstance(camera, Camera) else None
         absent: frozenset[str] = getattr(dataset, "absent", frozenset())

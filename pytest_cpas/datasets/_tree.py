@@ -11,6 +11,7 @@ from typing import Any
 
 from pytest_cpas.datasets._images import read_depth, read_ids, read_rgb
 from pytest_cpas.datasets._index import Scan, read_index
+from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import GroundTruth, Sample, SampleRef
 
 
@@ -52,14 +53,14 @@ class Tree(ABC):
         """Read one sample; :class:`ContractError` names the file that is damaged."""
 
 
-def find_root(names: Sequence[str], data_dir: Path | None, mark: str, download: str) -> Path:
-    """``data_dir``, or a folder of one of these ``names`` in it: the one that holds ``mark``.
+def find_root(name: str, data_dir: Path | None, mark: str, *folders: str) -> Path:
+    """``data_dir``, or a folder in it called ``name`` or one of ``folders``, that holds ``mark``.
 
-    Raises :class:`FileNotFoundError` that says what to fetch: ``download``.
+    Raises :class:`FileNotFoundError` that says how to get the data set ``name``.
     """
-    if data_dir is None:
-        raise FileNotFoundError(f"a folder is needed (--cpas-data).\n{download}")
-    for root in (data_dir, *(data_dir / name for name in names)):
+    roots = [] if data_dir is None else [data_dir, *(data_dir / n for n in (name, *folders))]
+    for root in roots:
         if (root / mark).exists():
             return root
-    raise FileNotFoundError(f"no {mark} in {data_dir}.\n{download}")
+    lack = f"no {mark} in {data_dir}" if data_dir else f"{name} needs a folder (--cpas-data)"
+    raise FileNotFoundError(f"{lack}.\n{how_to_get(name)}")

@@ -33,7 +33,6 @@ from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import ContractError, SampleRef, Symmetry
 
 CATEGORIES = (
@@ -57,9 +56,7 @@ class HouseCat6D(RecordTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/housecat6d``; FileNotFoundError says how."""
-        super().__init__(
-            "housecat6d", find_root(("housecat6d",), data_dir, _MODELS, how_to_get("housecat6d"))
-        )
+        super().__init__("housecat6d", find_root("housecat6d", data_dir, _MODELS))
 
     def scan(self, scan: Scan) -> None:
         """List the labelled objects that are seen."""

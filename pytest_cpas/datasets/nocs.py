@@ -34,7 +34,6 @@ from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
-from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import (
     CATEGORIES,
     Array,
@@ -252,7 +251,7 @@ class Real275(NocsTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
-        root = find_root(("real275",), data_dir, self.frames, how_to_get("real275"))
+        root = find_root("real275", data_dir, self.frames)
         super().__init__("real275", root, REAL_CAMERA)
 
 

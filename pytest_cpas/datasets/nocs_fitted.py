@@ -36,7 +36,6 @@ from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import REAL_CAMERA, Listed, NocsTree, symmetry_of
 from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama
-from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import (
     Camera,
     ContractError,
@@ -57,6 +56,9 @@ _FITTED = 4096
 
 class FittedTree(NocsTree):
     """A split without published poses; see the module's docstring."""
+
+    #: A pose is fitted to images.
+    quick_truth = False
 
     #: Where a frame's depth is.
     depth = "{frames}/{frame}_depth.png"
@@ -155,8 +157,8 @@ class RealTrain(FittedTree):
     meshes = ("obj_models/real_train/{model}.obj",)
 
     def __init__(self, data_dir: Path | None) -> None:
-        """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
-        root = find_root(("real275",), data_dir, self.frames, how_to_get("real_train"))
+        """Find the tree in ``data_dir``, or ``real_train`` or ``real275`` in it."""
+        root = find_root("real_train", data_dir, self.frames, "real275")
         super().__init__("real_train", root, REAL_CAMERA)
 
 
@@ -170,7 +172,7 @@ class Camera25(FittedTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir``, or ``camera25`` or ``real275`` in it."""
-        root = find_root(("camera25", "real275"), data_dir, self.frames, how_to_get("camera25"))
+        root = find_root("camera25", data_dir, self.frames, "real275")
         super().__init__("camera25", root, CAMERA_CAMERA)
         self._unit_mesh = functools.cache(self._read_unit_mesh)
 

@@ -39,7 +39,6 @@ from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import SHAPENET_FROM_Z_UP, permute_extents
-from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import ContractError, SampleRef
 
 _TAXONOMY = "class_obj_taxonomy.json"
@@ -55,8 +54,7 @@ class PhoCaL(RecordTree):
 
         Raises :class:`ContractError` if the taxonomy cannot be read.
         """
-        names = ("phocal", "PhoCAL_release")
-        super().__init__("phocal", find_root(names, data_dir, _TAXONOMY, how_to_get("phocal")))
+        super().__init__("phocal", find_root("phocal", data_dir, _TAXONOMY, "PhoCAL_release"))
 
     def scan(self, scan: Scan) -> None:
         """List the annotated objects that are seen in test images."""

@@ -57,6 +57,8 @@ class Redwood75(Tree):
     can be had but not their images.
     """
 
+    camera = REDWOOD_CAMERA
+
     def __init__(self, data_dir: Path | None) -> None:
         """Find the annotations in ``data_dir`` or ``data_dir/redwood75``.
 
@@ -65,7 +67,7 @@ class Redwood75(Tree):
         """
         super().__init__(
             "redwood75",
-            find_root(("redwood75",), data_dir, "annotations.json", how_to_get("redwood75")),
+            find_root("redwood75", data_dir, "annotations.json"),
         )
         self._mesh = functools.cache(self._read_mesh)
 

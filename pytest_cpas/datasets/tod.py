@@ -37,7 +37,6 @@ from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import SHAPENET_FROM_Z_UP
 from pytest_cpas.similarity import rigid
-from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import Array, ContractError, SampleRef, Symmetry
 
 CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
@@ -63,7 +62,7 @@ class Tod(RecordTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/tod``; FileNotFoundError says how."""
-        super().__init__("tod", find_root(("tod",), data_dir, "objects", how_to_get("tod")))
+        super().__init__("tod", find_root("tod", data_dir, "objects"))
 
     def scan(self, scan: Scan) -> None:
         """List the frames of the objects of which there is a model."""

@@ -29,7 +29,6 @@ from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
-from pytest_cpas.sources import how_to_get
 from pytest_cpas.types import ContractError, SampleRef
 
 CATEGORIES = ("bottle", "bowl", "camera", "laptop", "mug")
@@ -42,7 +41,7 @@ class Wild6D(RecordTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``wild6d`` in it; FileNotFoundError says how."""
-        root = find_root(("wild6d", "Wild6D"), data_dir, _ANNOTATIONS, how_to_get("wild6d"))
+        root = find_root("wild6d", data_dir, _ANNOTATIONS, "Wild6D")
         super().__init__("wild6d", root)
 
     def scan(self, scan: Scan) -> None:

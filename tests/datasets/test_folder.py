@@ -301,3 +301,28 @@ def test_run_on_a_folder(cpas, pytester, tmp_path: Path) -> None:
     )
     assert result.ret == 0
     result.stdout.fnmatch_lines(["*only-pose-folder-captures-mug-kitchen/0*"])
+
+
+def test_run_over_damage_ends_in_words_and_goes_on(cpas, pytester) -> None:
+    """A damaged line, a damaged image, a pipe: each is said in words, and the rest is judged."""
+    _, lines = write_folder(pytester.path / "captures")
+    root = pytester.path / "captures"
+    for name, values in {
+        "bad-line": {"tx": "nan"},
+        "bad-image": {"depth": "a/bad.png"},
+        "pipe": {"rgb": "a/pipe.png"},
+    }.items():
+        lines.append(lines[0] | {"id": name} | values)
+    (root / "a/bad.png").write_bytes(b"\x89PNG")
+    os.mkfifo(root / "a/pipe.png")
+    write_table(root, lines)
+    names = ("--cpas-method=tiny:OnlyPose", "--cpas-dataset=folder:captures")
+    result = pytester.runpytest_inprocess(*RUN, *names, "-k", "test_sample or test_listing")
+    assert result.ret == 1
+    out = result.stdout.str()
+    assert "Traceback" not in out
+    for words in ("line 4: tx, ty, tz", "bad.png: not a readable image", "pipe.png: not a regular"):
+        assert words in out
+    outcomes = result.parseoutcomes()
+    assert (outcomes["passed"], outcomes["failed"]) == (2, 3)
+    assert "2 of 4 samples judged" in out

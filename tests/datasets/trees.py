@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from pytest_cpas._open3d import import_open3d
 from pytest_cpas.datasets import shapes
 from pytest_cpas.datasets.rendering import Rendering, camera_rays, render
 from pytest_cpas.types import Camera, GroundTruth, Mesh, Pose, Sample
+
+import_open3d()  # a test with pytester forgets what it imports, and Open3D is imported only once
 
 #: Three objects side by side and one behind them, metres and rotation vectors.
 PLACES = {
