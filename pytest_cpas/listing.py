@@ -33,12 +33,16 @@ def _declared(name: str, weights: Path | None) -> Iterator[str]:
     yield f"licence {info.licence}"
     parts = ["pose", *sorted(info.gives)]
     yield f"needs {', '.join(sorted(info.needs))}; gives {', '.join(parts)}"
-    if not info.assets:
+    paths = [asset.path for asset in info.assets]
+    if not paths:
         yield "weights: none needed"
     elif weights is None:
-        paths = [asset.path for asset in info.assets]
-        yield f"weights: {', '.join(paths)} (no --cpas-weights to look in)"
+        yield f"weights: {_some(paths)} (no --cpas-weights to look in)"
     else:
-        for asset in info.assets:
-            found = (weights / asset.path).is_file()
-            yield f"weights: {weights / asset.path} {'found' if found else 'not found'}"
+        lacking = [path for path in paths if not (weights / path).is_file()]
+        missing = f", missing {_some(lacking)}" if lacking else ""
+        yield f"weights: {len(paths) - len(lacking)} of {len(paths)} found in {weights}{missing}"
+
+
+def _some(paths: list[str]) -> str:
+    return ", ".join(paths[:3]) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")

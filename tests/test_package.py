@@ -73,11 +73,15 @@ def test_list_says_what_methods_need_and_whether_weights_are_there(tmp_path):
     licence, parts, weights, _ = after("icp", "method_adapters.icp:Icp")
     assert (licence, parts) == ("licence MIT", "needs depth; gives pose, extents, shape")
     assert weights == "weights: none needed"
-    licence, parts, weights, priors = after("sgpa", "method_adapters.sgpa:Sgpa")
+    licence, parts, weights, _ = after("sgpa", "method_adapters.sgpa:Sgpa")
     assert licence == "licence MIT (this port; the weights state no licence)"
     assert parts == "needs depth, rgb; gives pose, extents, shape"
-    assert weights == f"weights: {tmp_path}/weights/sgpa/real.pth not found"
-    assert priors == f"weights: {tmp_path}/weights/mean_points_emb.npy found"
+    assert weights == f"weights: 1 of 2 found in {tmp_path}/weights, missing sgpa/real.pth"
+    _, _, weights, _ = after("asmnet", "method_adapters.asmnet:AsmNet")
+    assert weights.startswith(
+        f"weights: 0 of 12 found in {tmp_path}/weights, missing asmnet/params"
+    )
+    assert weights.endswith(" and 9 more")
     (reason, *_) = after("broken", "lab_broken:X")
     assert reason.startswith("cannot be used: method 'broken', registered by lab 3.1: lab_broken:X")
     assert "No module named 'not_there'" in reason
