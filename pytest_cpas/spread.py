@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 #: Probability that a run without any change is called worse, or better.
 FALSE_ALARMS = 1e-5
@@ -32,6 +31,8 @@ def fewer(recorded: Outcomes, new: Outcomes) -> float:
 
     ``recorded`` (n, K): whether sample n was correct under seed K. ``new`` (n,).
     """
+    from scipy import stats  # slow to import, and most tables are of one seed
+
     seeds = recorded.shape[1]
     correct = recorded.sum(axis=1) + new
     open_to_chance = (correct > 0) & (correct <= seeds)
@@ -55,6 +56,8 @@ def more(recorded: Outcomes, new: Outcomes) -> float:
 
 
 def _dependent(recorded: Outcomes, totals: NDArray[np.int64]) -> bool:
+    from scipy import stats
+
     expected = float(recorded.var(axis=1, ddof=1).sum()) if len(totals) > 1 else 0.0
     if expected == 0:
         return False
