@@ -43,7 +43,7 @@ class Dented(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.vae = SdfVae(released("mug"))
+        self.vae = SdfVae(released("mug")).requires_grad_(False)
         axis = torch.linspace(-1, 1, 64)
         nodes = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
         # untrained, the decoder says little
@@ -127,7 +127,7 @@ class Clock:
 
 def main(device: str) -> None:
     torch.manual_seed(0)
-    decoder = Dented().eval().requires_grad_(False).to(device)
+    decoder = Dented().eval().to(device)
     truth = estimation.Estimate(
         torch.full((8,), 0.5),
         torch.tensor([0.05, 0.02, -0.7]),
