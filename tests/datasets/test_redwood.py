@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from redwood_frames import WALL_MM, write_images
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas.datasets import shapes
@@ -39,17 +40,9 @@ def write_frame(
     beside[2] = near
     seen = render([(mesh, posed), (HAND, Pose(np.eye(3), beside))], REDWOOD_CAMERA)
     millimetres = np.round(1000 * seen.depth)
-    millimetres[seen.instance < 0] = 2500  # a wall
+    millimetres[seen.instance < 0] = WALL_MM
     millimetres[::7] = 0
-    folder = root / category / "rgbd" / sequence
-    for kind, pixels in (("rgb", seen.instance), ("depth", millimetres)):
-        path = folder / kind / pose[f"{kind}_file"]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if kind == "rgb":
-            colour = np.where(pixels[..., None] == 0, [200, 40, 40], [30, 90, 30])
-            Image.fromarray(colour.astype(np.uint8)).save(path, quality=95)
-        else:
-            Image.fromarray(pixels.astype(np.uint16)).save(path)
+    write_images(root, category, sequence, pose, seen.instance, millimetres)
     # where nothing was measured, nobody can tell the hand from what it hides
     alone = render([(mesh, posed)], REDWOOD_CAMERA)
     return np.where(millimetres == 0, alone.instance == 0, seen.instance == 0), alone.depth
