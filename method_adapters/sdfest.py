@@ -56,6 +56,12 @@ POINT_COUNT = 10_000
 SHAPENET_FROM_Z_UP = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 RELEASE = "https://github.com/roym899/sdfest/releases/download/v0.1.0"
+OLDER = "https://github.com/roym899/sdfest/tree/ral_submission/sdf_estimation/models"
+
+
+def asset(name: str, *, older: bool = False) -> Asset:
+    """A file of weights, of the release or older."""
+    return Asset(f"sdfest/{name}", OLDER if older else f"{RELEASE}/{name}", "MIT")
 
 
 @dataclass(frozen=True)
@@ -83,11 +89,7 @@ class Sdfest:
         needs=frozenset({"depth"}),
         gives=frozenset({"extents", "shape"}),
         licence="MIT",
-        assets=tuple(
-            Asset(f"sdfest/{name}", f"{RELEASE}/{name}", "MIT")
-            for category in CATEGORIES
-            for name in released(category).weights
-        ),
+        assets=tuple(asset(name) for category in CATEGORIES for name in released(category).weights),
     )
     gradient: Gradient = "correct"
     iterations = ITERATIONS
@@ -113,7 +115,7 @@ class Sdfest:
                 SHAPENET_FROM_Z_UP if layers.z_up else np.eye(3),
             )
             for network, name in zip((model.init, model.vae), layers.weights, strict=True):
-                load_weights(network, folder / name)
+                load_weights(network, asset_path(assets, asset(name, older=layers.z_up)))
                 network.eval().requires_grad_(False).to(self._device)
             self._models[category] = model
 

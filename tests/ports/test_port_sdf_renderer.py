@@ -144,8 +144,9 @@ def test_gradient_by_finite_differences(parameter):
 
 def interpolated_plainly(sdf, where, points):
     """Trilinear interpolation written out, metres."""
-    at = ((points - where.position) @ where.rotation / where.half_width + 1) * 31.5
-    base = at.detach().floor().long().clamp(0, 62)
+    at = (points - where.position) @ where.rotation / where.half_width
+    at = (at + 1) * ((len(sdf) - 1) / 2)
+    base = at.detach().floor().long().clamp(0, len(sdf) - 2)
     part = at - base
     total = 0.0
     for corner in np.ndindex(2, 2, 2):
@@ -200,3 +201,31 @@ def test_rays_along_the_faces():
     assert hit.tolist() == [True, False]
     assert depth[0] == pytest.approx(0.44, abs=1e-3)
     assert math.isfinite(depth[0])
+
+
+def check_published_weights():
+    """One ray's end, 0.2, 0.3 and 0.1 of a cell from a node: the weights by their list."""
+    plane = 0.25 + 2 / 63 * 0.1
+    sdf = (grid()[..., 2] - plane).requires_grad_()
+    x, y = -1 + 2 / 63 * np.array([40.2, 25.3])
+    # looking down on the plane from 5 half-widths away
+    eye = torch.tensor([-x, -y, -5.0], dtype=torch.float64)
+    where = Placement(
+        eye, torch.eye(3, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)
+    )
+    down = torch.tensor([[0.0, 0.0, -1.0]], dtype=torch.float64)
+    _, depth = ray_depths(sdf, where, down, 1e-9, "published")
+    assert float(depth.detach()) == pytest.approx(5 - plane, abs=1e-6)
+    depth.sum().backward()
+    at = (float(5 - depth.detach()) + 1) * 31.5
+    z = at - int(at)
+    x, y = 0.2, 0.3
+    u, v, w = 1 - x, 1 - y, 1 - z
+    found = sdf.grad[40:42, 25:27, int(at) : int(at) + 2].flatten()
+    named = [u * v * z, u * y * w, u * y * z, x * v * w, x * v * z, x * v * z, x * y * w, x * y * z]
+    np.testing.assert_allclose(found, named, atol=1e-5)
+    assert torch.count_nonzero(sdf.grad) == 8
+
+
+def test_published_weights():
+    check_published_weights()
