@@ -102,7 +102,7 @@ def test_real_frame(method, test_data):
 def test_torch_is_imported_only_to_load():
     code = (
         "import sys, pytest_cpas.plugin;"
-        "from method_adapters import asmnet, cass, crnet, dpdn, rbppose, sgpa, spd;"
+        "from method_adapters import asmnet, cass, crnet, dpdn, rbppose, sdfest, sgpa, spd;"
         "print('torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
