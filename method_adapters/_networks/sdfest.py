@@ -110,13 +110,50 @@ class _Encoder(nn.Module):
         return self.linear_means(x), self.linear_log_var(x)
 
 
+# Torch's own operators for volumes take about ten times as long on a CPU as the two below, and
+# on a GPU the gradient of its resizing differs from run to run.
+
+
+class _Convolution(nn.Conv3d):
+    """A convolution without padding, stride 1: one of slices, with every plane of the kernel, whose
+    results are added."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        planes = self.weight.permute(2, 0, 1, 3, 4)
+        slices = x.transpose(1, 2)
+        found = functional.conv2d(slices.flatten(0, 1), planes.flatten(0, 1))
+        parts = found.unflatten(0, slices.shape[:2]).unflatten(2, planes.shape[:2]).unbind(2)
+        depth = x.shape[2] - len(planes) + 1
+        y = functools.reduce(torch.add, (part[:, k : k + depth] for k, part in enumerate(parts)))
+        return y.transpose(1, 2) + self.get_parameter("bias")[:, None, None, None]
+
+
+def _resized(x: Tensor, side: int) -> Tensor:
+    """Trilinear interpolation to ``side`` nodes along each axis, node centres at halves."""
+    if x.shape[-1] == side:
+        return x
+    along = _interpolation(x.shape[-1], side).to(x)
+    y = along @ x @ along.T
+    resized: Tensor = (along @ y.flatten(-2)).unflatten(-1, (side, side))
+    return resized
+
+
+@functools.cache
+@torch.inference_mode(False)  # kept for gradients, whoever comes first
+def _interpolation(old: int, new: int) -> Tensor:
+    """The matrix (``new``, ``old``) that interpolates linearly along one axis."""
+    nodes = torch.eye(old)[None]
+    return functional.interpolate(nodes, size=new, mode="linear", align_corners=False)[0].T
+
+
 class _Decoder(nn.Module):
     def __init__(self, linear: Sequence[int], layers: Sequence[DecoderLayer], latent: int) -> None:
         super().__init__()
         self._fc_layers = _mlp([latent, *linear[:-1]], linear)
         self._layers = layers
         self._conv_layers = nn.ModuleList(
-            nn.Conv3d(layer.in_channels, layer.out_channels, layer.kernel_size) for layer in layers
+            _Convolution(layer.in_channels, layer.out_channels, layer.kernel_size)
+            for layer in layers
         )
 
     def forward(self, latent: Tensor) -> Tensor:
@@ -128,46 +165,12 @@ class _Decoder(nn.Module):
         for layer, convolution in zip(self._layers, self._conv_layers, strict=True):
             if layer.kernel_size == 1 and not layer.relu:
                 # it commutes with the resizing, and leaves less to resize
-                x = _resized(_convolved(x, convolution), layer.in_size)
+                x = _resized(convolution(x), layer.in_size)
             else:
-                x = _convolved(_resized(x, layer.in_size), convolution)
+                x = convolution(_resized(x, layer.in_size))
             if layer.relu:
                 x = functional.relu(x)
         return _resized(x, RESOLUTION)
-
-
-# Torch's own operators for volumes take about ten times as long on a CPU as the two below, and
-# on a GPU the gradient of its resizing differs from run to run.
-
-
-def _convolved(x: Tensor, convolution: nn.Conv3d) -> Tensor:
-    """The convolution, as one of slices with every plane of the kernel, whose results are added."""
-    planes = convolution.weight.permute(2, 0, 1, 3, 4)
-    slices = x.transpose(1, 2)
-    found = functional.conv2d(slices.flatten(0, 1), planes.flatten(0, 1))
-    parts = found.unflatten(0, slices.shape[:2]).unflatten(2, planes.shape[:2]).unbind(2)
-    depth = x.shape[2] - len(planes) + 1
-    y = parts[0][:, :depth]
-    for k in range(1, len(planes)):
-        y = y + parts[k][:, k : k + depth]
-    return y.transpose(1, 2) + convolution.bias[:, None, None, None]
-
-
-def _resized(x: Tensor, side: int) -> Tensor:
-    """Trilinear interpolation to ``side`` nodes along each axis, node centres at halves."""
-    if x.shape[-1] == side:
-        return x
-    along = _interpolation(x.shape[-1], side).to(x)
-    y = along @ x @ along.T
-    return (along @ y.flatten(-2)).unflatten(-1, (side, side))
-
-
-@functools.cache
-@torch.inference_mode(False)  # kept for gradients, whoever comes first
-def _interpolation(old: int, new: int) -> Tensor:
-    """The matrix (``new``, ``old``) that interpolates linearly along one axis."""
-    nodes = torch.eye(old)[None]
-    return functional.interpolate(nodes, size=new, mode="linear", align_corners=False)[0].T
 
 
 class SdfVae(nn.Module):
