@@ -125,7 +125,8 @@ class _Convolution(nn.Conv3d):
         parts = found.unflatten(0, slices.shape[:2]).unflatten(2, planes.shape[:2]).unbind(2)
         depth = x.shape[2] - len(planes) + 1
         y = functools.reduce(torch.add, (part[:, k : k + depth] for k, part in enumerate(parts)))
-        return y.transpose(1, 2) + self.get_parameter("bias")[:, None, None, None]
+        biased: Tensor = y.transpose(1, 2) + self.get_parameter("bias")[:, None, None, None]
+        return biased
 
 
 def _resized(x: Tensor, side: int) -> Tensor:
