@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -121,7 +121,8 @@ class MeshFacts:
 class Survey:
     """A data set, and what has been measured of it so far.
 
-    ``refs``: all samples it lists; ``unreadable``: per sample why it cannot be loaded.
+    ``refs``: all samples it lists; ``unreadable``: per sample why it cannot be loaded;
+    ``elsewhere``: keys of meshes that have been measured for another survey.
     """
 
     name: str
@@ -131,11 +132,14 @@ class Survey:
     samples: dict[str, SampleFacts] = field(default_factory=dict)
     meshes: dict[str, MeshFacts] = field(default_factory=dict)
     unreadable: dict[str, str] = field(default_factory=dict)
+    elsewhere: Collection[str] = ()
 
     @classmethod
-    def of(cls, dataset: Dataset) -> Survey:
+    def of(cls, dataset: Dataset, elsewhere: Collection[str] = ()) -> Survey:
         """Of a data set of which nothing has been measured yet."""
-        return cls(dataset.name, dataset.samples, dataset.missing, dataset.damaged)
+        return cls(
+            dataset.name, dataset.samples, dataset.missing, dataset.damaged, elsewhere=elsewhere
+        )
 
     @property
     def listed(self) -> Counter[str]:
@@ -176,7 +180,8 @@ class Survey:
             return
         facts = measure_sample(ref, truth, seen)
         self.samples[ref.id] = facts
-        if isinstance(truth.surface, Mesh) and facts.mesh not in self.meshes:
+        new = facts.mesh not in self.meshes and facts.mesh not in self.elsewhere
+        if new and isinstance(truth.surface, Mesh):
             self.meshes[facts.mesh] = measure_mesh(truth.surface, ref)
 
 

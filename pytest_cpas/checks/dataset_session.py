@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Generator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -43,13 +43,17 @@ _OUTCOMES: dict[Word, Outcome] = {
 
 @dataclass(eq=False)
 class Checked:
-    """A data set that is checked: the samples to look at, and what was measured of them."""
+    """A data set that is checked: the samples to look at, and what was measured of them.
+
+    ``meshes``: keys of those that this process has measured.
+    """
 
     dataset: Dataset
     refs: list[SampleRef]
     survey: Survey
     known: list[KnownFault]
-    verdicts: list[Verdict]
+    verdicts: list[Verdict] = field(default_factory=list)
+    meshes: set[str] = field(default_factory=set)
 
 
 class DatasetSession(SuiteSession):
@@ -146,7 +150,7 @@ def _checked(dataset: Dataset, selection: Selection, files: list[Path]) -> Check
     known = read_known_faults(own) if own.is_file() else []
     for path in files:
         known += read_known_faults(path)
-    return Checked(dataset, selection.of(dataset.samples), Survey.of(dataset), known, [])
+    return Checked(dataset, selection.of(dataset.samples), Survey.of(dataset), known)
 
 
 def _tuples(values: dict[str, Any]) -> dict[str, Any]:

@@ -31,6 +31,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 def test_measure(checked: Checked, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:
     """The sample is measured; one that cannot be read is a matter of the check `readable`."""
-    found = request.node.stash[FOUND] = Survey.of(checked.dataset)
+    found = request.node.stash[FOUND] = Survey.of(checked.dataset, checked.meshes)
     for ref in refs:
         found.examine(checked.dataset, ref)
+    checked.meshes.update(found.meshes)

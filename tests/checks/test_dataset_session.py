@@ -10,6 +10,7 @@ from PIL import Image
 
 import pytest_cpas.checks.dataset_session  # noqa: F401 - runs in this process share our modules
 from pytest_cpas._open3d import import_open3d
+from pytest_cpas.checks import dataset_facts
 from pytest_cpas.datasets.synthetic import HANDHELD, generate
 
 import_open3d()  # it cannot be loaded twice, and a run in this process forgets what it loaded
@@ -107,6 +108,16 @@ def test_known_faults_of_ones_own(check, pytester):
     result = check("--cpas-known-faults=ours.toml")
     assert result.ret == 0
     result.stdout.fnmatch_lines(["depth *known *Known: seen it"])
+
+
+def test_mesh_is_measured_once(check, monkeypatch):
+    measured = []
+    original = dataset_facts.measure_mesh
+    monkeypatch.setattr(
+        dataset_facts, "measure_mesh", lambda *args: measured.append(args) or original(*args)
+    )
+    check()
+    assert len(measured) == 1
 
 
 def test_part_of_the_samples(check):
