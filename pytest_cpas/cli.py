@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,6 +43,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fetching.add_argument("name", metavar="NAME", help="such as real275, redwood75, sgpa")
     fetching.add_argument("--to", required=True, type=Path, metavar="DIR", help="where to")
     fetching.add_argument("--yes", action="store_true", help="agree to size and licence")
+    adapter = commands.add_parser(
+        "new-adapter",
+        help="write a method that runs at once, to be filled in",
+        description="Write the skeleton of a method: its module, its test and the file of what is"
+        " known of it. docs/porting.md goes on from there.",
+    )
+    adapter.add_argument("name", metavar="NAME", help="of the method, such as my-method")
+    adapter.add_argument(
+        "--to", type=Path, default=Path(), metavar="DIR", help="where (default: here)"
+    )
     known, others = parser.parse_known_args(arguments)
     if known.command == "fetch":
         if others:
@@ -51,7 +62,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(pytest.main([*(f"--cpas-merge={file}" for file in known.files), *others]))
     if others:
         parser.error(f"unrecognized arguments: {' '.join(others)}")
+    if known.command == "new-adapter":
+        return _new_adapter(known)
     return _export_bop(known)
+
+
+def _new_adapter(known: argparse.Namespace) -> int:
+    from pytest_cpas.new_adapter import NewAdapterError, new_adapter
+
+    try:
+        paths, options = new_adapter(known.name, known.to)
+    except (NewAdapterError, OSError) as error:
+        print(f"pytest-cpas new-adapter: {error}", file=sys.stderr)
+        return 1
+    print("wrote", *paths, sep="\n  ")
+    there = "" if known.to == Path() else f"cd {shlex.quote(str(known.to))} && "
+    print(f"next:\n  {there}pytest {options} --cpas-limit=24")
+    return 0
 
 
 def _export_bop(known: argparse.Namespace) -> int:

@@ -111,6 +111,7 @@ def test_wheel_holds_everything(tmp_path):
     assert {
         "pytest_cpas/py.typed",
         "pytest_cpas/suite/test_samples.py",
+        "pytest_cpas/adapter_template/method.py.template",
         "pytest_cpas/sources.toml",
         "pytest_cpas/datasets/real275.known.toml",
         "pytest_cpas/golden/recorded/icp/synthetic-tabletop/table.toml",

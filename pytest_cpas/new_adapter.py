@@ -1,0 +1,64 @@
+"""``pytest-cpas new-adapter``: a method that runs at once, to be filled in."""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+import re
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from pytest_cpas.registry import registered
+
+_TEMPLATES = {
+    "{module}.py": "method.py.template",
+    "test_{module}.py": "test_method.py.template",
+    "{name}.expectations.toml": "expectations.toml.template",
+}
+
+
+class NewAdapterError(Exception):
+    """A name that cannot be used, or files that are in the way."""
+
+
+def new_adapter(name: str, folder: Path) -> tuple[list[Path], str]:
+    """Write the skeleton of a method ``name`` into ``folder``, which is made if need be.
+
+    Returns the files and the pytest options that run it from there. Raises
+    :class:`NewAdapterError`, with nothing written, for a name that is no module's or belongs to
+    another one, and if a file exists.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*", name):
+        raise NewAdapterError(
+            f"name {name!r}: expected small letters and digits, in parts joined by '-', such as"
+            " my-method; it names a module, a class and a folder of golden tables"
+        )
+    if name in {entry.name for entry in registered("method")}:
+        raise NewAdapterError(
+            f"name {name!r}: a method of that name is registered (pytest --cpas-list); a port of"
+            " it gets a name of its own, and its info.name once it shall be compared with the"
+            " golden table of that one"
+        )
+    module = name.replace("-", "_")
+    paths = {
+        folder / path.format(name=name, module=module): template
+        for path, template in _TEMPLATES.items()
+    }
+    existing = [str(path) for path in paths if path.exists()]
+    if existing:
+        raise NewAdapterError(f"{', '.join(existing)}: there already; nothing was written")
+    if keyword.iskeyword(module) or importlib.util.find_spec(module) is not None:
+        raise NewAdapterError(
+            f"name {name!r}: python has {module} already, as a word of its own or as a module that"
+            " is installed; take another one"
+        )
+    class_name = "".join(part.capitalize() for part in module.split("_"))
+    options = f"--cpas-method={module}:{class_name} --cpas-dataset=synthetic-handheld"
+    values = {"name": name, "module": module, "class_name": class_name, "pytest_options": options}
+    folder.mkdir(parents=True, exist_ok=True)
+    for path, template in paths.items():
+        text = files("pytest_cpas").joinpath("adapter_template", template).read_text("utf-8")
+        with path.open("x", encoding="utf-8", newline="\n") as file:
+            file.write(Template(text).substitute(values))
+    return list(paths), options
