@@ -17,7 +17,7 @@ def names(folder: Path) -> set[str]:
 
 def natural(name: str) -> list[int | str]:
     """A sort key that puts scene_2 before scene_10."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", name)]
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
 
 
 def regular(path: Path) -> Path:

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 from pytest_cpas._cache import cache_folder
 from pytest_cpas.datasets._files import names, parse_json, regular
+from pytest_cpas.datasets._images import image_size
 from pytest_cpas.types import ContractError, SampleRef
 
 #: Seconds. A tree changed so recently may change again without its times telling.
@@ -97,11 +98,16 @@ class Scan:
     def weigh(self, path: str) -> None:
         """Add a file's path and size, which are had without reading it, to the digest."""
         stamp = self._see(path)
-        self._digest.update(f"{path} {stamp and stamp[-1]}\n".encode())
+        self._digest.update(os.fsencode(f"{path} {stamp and stamp[-1]}\n"))
+
+    def image_size(self, path: str) -> tuple[int, int]:
+        """Width and height of an image, which is not decoded."""
+        self.weigh(path)
+        return image_size(self.root / path)
 
     def note(self, text: str) -> None:
         """Add ``text`` to the digest."""
-        self._digest.update(text.encode())
+        self._digest.update(os.fsencode(text))
 
     def add(self, ref: SampleRef, detail: Any) -> None:
         """A sample, and what its loader needs, as JSON values."""
@@ -191,7 +197,13 @@ def _read_kept(file: Path, root: Path) -> Index | None:
 def _keep(file: Path, index: Index, stamps: Stamps) -> None:
     content = index._asdict()
     content["samples"] = [dataclasses.astuple(ref) for ref in index.samples]
+    text = json.dumps({**content, "stamps": stamps})
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as unfinished:
-        json.dump({**content, "stamps": stamps}, unfinished)
-    os.replace(unfinished.name, file)
+        try:
+            unfinished.write(text)
+            unfinished.flush()
+            os.replace(unfinished.name, file)
+        except OSError:
+            os.unlink(unfinished.name)
+            raise

@@ -10,6 +10,8 @@ import trimesh
 from pytest_cpas.datasets._files import regular
 from pytest_cpas.types import Array, ContractError, Mesh
 
+_FORMATS = (".obj", ".off", ".ply", ".stl")
+
 
 def read_mesh(path: Path, axes: Array | None = None) -> Mesh:
     """The mesh in a file; ``axes`` (3, 3), if given, maps its coordinates to those wanted.
@@ -18,6 +20,8 @@ def read_mesh(path: Path, axes: Array | None = None) -> Mesh:
 
     Raises :class:`ContractError` naming the file when it is damaged or has no triangles.
     """
+    if path.suffix.lower() not in _FORMATS:  # some others name further files to be read
+        raise ContractError(f"{path}: not a mesh of {', '.join(_FORMATS)}")
     try:
         # materials would be looked for beside the file, or wherever it says
         loaded = trimesh.load_mesh(regular(path), process=False, skip_materials=True)

@@ -23,6 +23,13 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
     return array.reshape(shape)
 
 
+def whole(text: object) -> int | None:
+    """The number that a text of one to nine digits is, else None."""
+    if isinstance(text, str) and text.isdecimal() and len(text) < 10:
+        return int(text)
+    return None
+
+
 def quaternion_rotation(value: Any, what: str) -> Array:
     """The rotation matrix of a unit quaternion, scalar last."""
     quaternion = numbers(value, (4,), what)

@@ -127,6 +127,8 @@ class RecordTree(Tree):
     def add_seen(self, scan: Scan, listed: Sequence[tuple[SampleRef, Record]]) -> None:
         """List the samples of which their mask has a pixel. This opens the masks."""
         sizes = {record.mask: record.camera[:2] for _, record in listed if record.mask}
+        for mask in sizes:
+            scan.weigh(mask)
 
         def ids(mask: str) -> set[int] | ContractError:
             width, height = map(int, sizes[mask])

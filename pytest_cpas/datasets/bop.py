@@ -30,10 +30,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pytest_cpas.datasets._files import natural, parse_json, regular
-from pytest_cpas.datasets._images import image_size
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._meshes import read_mesh
-from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.types import Array, Camera, ContractError, Mesh, Pose, SampleRef, Symmetry
 
@@ -77,7 +76,7 @@ class Bop(RecordTree):
         scan.damaged += self._damaged_models
         targets = self._targets(scan)
         for scene in sorted(scan.names(self.split), key=natural):
-            if not scene.isdecimal():
+            if whole(scene) is None:
                 continue
             try:
                 self._scan_scene(scan, scene, targets)
@@ -120,7 +119,7 @@ class Bop(RecordTree):
                 found = self._image(scan, folder, key, cameras.get(key))
                 if found is None:
                     continue
-                size = size or image_size(self.root / found[0])
+                size = size or scan.image_size(found[0])
                 frame = _frame(*found, cameras[key], size)
                 for index, truth in enumerate(_list(truths[key])):
                     with _damage(scan, f"{where}, object {index}"):
@@ -137,9 +136,10 @@ class Bop(RecordTree):
         return int(number)
 
     def _image(self, scan: Scan, folder: str, key: str, camera: Any) -> tuple[str, str] | None:
-        if not key.isdecimal() or not isinstance(camera, dict):
+        number = whole(key)
+        if number is None or not isinstance(camera, dict):
             raise ContractError("not an image number with an entry in scene_camera.json")
-        stem = f"{int(key):06d}"
+        stem = f"{number:06d}"
         rgb = [p for p in (f"{folder}/rgb/{stem}.{e}" for e in ("png", "jpg")) if scan.has(p)]
         depth = f"{folder}/depth/{stem}.png"
         if not rgb:
@@ -198,9 +198,10 @@ def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:
     models, damaged = {}, []
     for key, info in parse_json(path, regular(path).read_bytes()).items():
         try:
-            if not key.isdecimal() or not isinstance(info, dict):
+            number = whole(key)
+            if number is None or not isinstance(info, dict):
                 raise ContractError("expected a number, and min_x, size_x, ...")
-            models[int(key)] = _model(info)
+            models[number] = _model(info)
         except ContractError as error:
             damaged.append(f"{path}: object {key}: {error}")
     return models, damaged
@@ -275,7 +276,7 @@ def find_split(data_dir: Path | None) -> tuple[Path, str]:
 
     def is_split(folder: Path) -> bool:
         return folder.is_dir() and any(
-            scene.name.isdecimal() and scene.is_dir() for scene in folder.iterdir()
+            whole(scene.name) is not None and scene.is_dir() for scene in folder.iterdir()
         )
 
     if is_split(data_dir):

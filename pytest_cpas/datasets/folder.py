@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import csv
+import functools
 import io
-import math
 import re
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import numpy as np
 from pytest_cpas.datasets._files import below
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._meshes import read_mesh
-from pytest_cpas.datasets._numbers import numbers, quaternion_rotation
+from pytest_cpas.datasets._numbers import numbers, quaternion_rotation, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.types import Camera, ContractError, Mesh, SampleRef, Symmetry
@@ -29,6 +29,9 @@ _TRANSLATION = ("tx", "ty", "tz")
 _EXTENTS = ("extent_x", "extent_y", "extent_z")
 _REQUIRED = ("id", "category", "rgb", "depth", *_CAMERA, *_QUATERNION, *_TRANSLATION)
 _OPTIONAL = ("scene", "model", "mask", "mask_id", "depth_unit", *_EXTENTS, "mesh", "symmetry")
+
+#: More turns than anybody would list are a slip of the pen.
+_MOST_FOLD = 360
 
 _SYMMETRY = re.compile(r"([xyz])(?:/(\d+))?")
 
@@ -117,7 +120,8 @@ class Folder(RecordTree):
         if mask is None and mesh is None:
             raise ContractError(f"{where}: neither a mask nor a mesh to render one from")
         mask_id = text.get("mask_id") or None
-        if mask_id is not None and not (mask_id.isdecimal() and int(mask_id) < 256):
+        number = whole(mask_id)
+        if mask_id is not None and (number is None or number > 255):
             raise ContractError(f"{where}: mask_id {mask_id!r}, expected 0 to 255")
         symmetry = text.get("symmetry") or None
         if symmetry is not None:
@@ -133,7 +137,7 @@ class Folder(RecordTree):
             extents=extents,
             mesh=mesh,
             mask=mask,
-            mask_id=None if mask_id is None else int(mask_id),
+            mask_id=number,
             depth_per_metre=1 / unit,
             symmetry=symmetry,
         )
@@ -155,13 +159,15 @@ class Folder(RecordTree):
         return mesh
 
 
+@functools.cache
 def parse_symmetry(text: str) -> Symmetry:
     """``none``, ``y`` (any angle about y), ``y/4`` (four-fold about y), ``box`` or ``sphere``."""
     named = {"none": Symmetry.none, "box": Symmetry.box, "sphere": Symmetry.full}
     if text in named:
         return named[text]()
     match = _SYMMETRY.fullmatch(text)
-    if not match or match[2] == "0" or (match[2] and int(match[2]) > math.factorial(6)):
+    fold = whole(match[2]) if match else None
+    if not match or (match[2] and not (fold and fold <= _MOST_FOLD)):
         raise ContractError(f"symmetry {text!r}, expected none, y, y/4, box or sphere")
     axis = np.eye(3)["xyz".index(match[1])]
-    return Symmetry.about(axis) if match[2] is None else Symmetry.n_fold(axis, int(match[2]))
+    return Symmetry.about(axis) if fold is None else Symmetry.n_fold(axis, fold)

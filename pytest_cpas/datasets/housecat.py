@@ -27,9 +27,8 @@ from pathlib import Path
 
 from pytest_cpas._safe_pickle import load_numpy_pickle
 from pytest_cpas.datasets._files import natural
-from pytest_cpas.datasets._images import image_size
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import symmetry_of
@@ -92,7 +91,7 @@ class HouseCat6D(RecordTree):
             if lacks:
                 continue
             try:
-                size = size or image_size(self.root / scene / "rgb" / file)
+                size = size or scan.image_size(f"{scene}/rgb/{file}")
                 shared = Record(f"{scene}/rgb/{file}", paths["depth"], [*size, *intrinsics], [], [])
                 shared = shared._replace(mask=paths["instance"])
                 listed += self._scan_label(scan, paths["label"], f"{scene}/{image}", shared, names)
@@ -106,13 +105,13 @@ class HouseCat6D(RecordTree):
         text = scan.read(f"{scene}/meta.txt").decode("utf-8", "replace")
         for line in text.splitlines():
             words = line.split()
-            good = len(words) == 3 and words[0].isdecimal() and "/" not in words[2]
-            if not good or words[2].split("-")[0] not in CATEGORIES:
+            instance = whole(words[0]) if len(words) == 3 and "/" not in words[2] else None
+            if instance is None or words[2].split("-")[0] not in CATEGORIES:
                 raise ContractError(
                     f"{self.root / scene / 'meta.txt'}: line {line!r}, expected"
                     " 'instance_id class_id CATEGORY-NAME'"
                 )
-            names[int(words[0])] = words[2]
+            names[instance] = words[2]
         return names
 
     def _scan_label(

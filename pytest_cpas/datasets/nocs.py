@@ -135,7 +135,8 @@ class NocsTree(Tree):
 
     def _read_meta(self, frame: str, text: str) -> list[Listed]:
         # a model's name becomes part of a path
-        form = re.compile(r"(\d+) (\d+)" + r" ((?!\.)[^\s/\\]+)" * (len(self.meta.split()) - 2))
+        model = r" ((?!\.)[^\s/\\]+)" * (len(self.meta.split()) - 2)
+        form = re.compile(r"(\d{1,9}) (\d{1,9})" + model)
         entries = []
         for line in text.splitlines():
             match = form.fullmatch(" ".join(line.split()))

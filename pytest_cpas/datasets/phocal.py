@@ -33,9 +33,8 @@ from typing import Any
 import numpy as np
 
 from pytest_cpas.datasets._files import natural
-from pytest_cpas.datasets._images import image_size
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import SHAPENET_FROM_Z_UP, permute_extents
@@ -84,9 +83,10 @@ class PhoCaL(RecordTree):
         size: tuple[int, int] | None = None
         listed = []
         for key in sorted(truths, key=natural):
-            if not key.isdecimal() or int(key) not in tests:
+            number = whole(key)
+            if number is None or number not in tests:
                 continue
-            image = f"{int(key):06d}"
+            image = f"{number:06d}"
             paths = [f"{sequence}/{kind}/{image}.png" for kind in ("rgb", "depth", "mask")]
             lacks = [path for path in paths if not scan.has(path)]
             for path in lacks:
@@ -94,7 +94,7 @@ class PhoCaL(RecordTree):
             if lacks:
                 continue
             try:
-                size = size or image_size(self.root / paths[0])
+                size = size or scan.image_size(paths[0])
                 rgb, depth, mask = paths
                 shared = Record(rgb, depth, [*size, *intrinsics], [], [], mask=mask)
                 shared = shared._replace(depth_per_metre=per_metre)

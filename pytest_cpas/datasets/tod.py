@@ -32,20 +32,17 @@ import numpy as np
 
 from pytest_cpas.datasets._files import natural, regular
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
+from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.frames import SHAPENET_FROM_Z_UP
 from pytest_cpas.similarity import rigid
 from pytest_cpas.types import Array, ContractError, SampleRef, Symmetry
 
 CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
 
-_SYMMETRIES = {
-    "ball": Symmetry.full(),
-    "bottle": Symmetry.about([0, 1, 0]),
-    "cup": Symmetry.about([0, 1, 0]),
-}
+_SYMMETRIES = {"ball": Symmetry.full(), "cup": symmetry_of("bottle")}
 
 _CAMERA = ("resx", "resy", "fx", "fy", "cx", "cy")
 
@@ -125,13 +122,10 @@ class Tod(RecordTree):
             scan.add(SampleRef(ref_id, category, sequence, sequence.split("/")[0]), record)
 
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
-        return _SYMMETRIES.get(ref.category, _NONE)
+        return _SYMMETRIES.get(ref.category, symmetry_of(ref.category))
 
     def _read_mesh(self, name: str) -> Array:
         return read_model(self.root / name).vertices
-
-
-_NONE = Symmetry.none()
 
 
 def read_model(path: Path) -> Model:
@@ -145,15 +139,12 @@ def read_model(path: Path) -> Model:
         elif words[:1] == ["v"]:
             part.append(words[1:4])
     found = {name: numbers(v, (len(v), 3), f"{path}: {name}") for name, v in parts.items() if v}
-    named = {n.partition(".")[2]: v.mean(axis=0) for n, v in found.items() if n.startswith("kp.")}
-    ordered = sorted((int(number), point) for number, point in named.items() if number.isdecimal())
-    if "mesh" not in found or [number for number, _ in ordered] != list(range(len(named))):
+    points = {whole(n[3:]): v.mean(axis=0) for n, v in found.items() if n.startswith("kp.")}
+    if "mesh" not in found or not points or set(points) != set(range(len(points))):
         raise ContractError(f"{path}: expected objects 'mesh', 'kp.000', 'kp.001', ...")
-    if not ordered:
-        raise ContractError(f"{path}: it has no keypoints")
     vertices = found["mesh"] @ SHAPENET_FROM_Z_UP.T
     centre = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
-    keypoints = np.stack([point for _, point in ordered]) @ SHAPENET_FROM_Z_UP.T
+    keypoints = np.stack([points[i] for i in range(len(points))]) @ SHAPENET_FROM_Z_UP.T
     return Model(vertices - centre, keypoints - centre)
 
 

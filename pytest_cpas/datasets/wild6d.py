@@ -23,9 +23,8 @@ from typing import Any
 
 from pytest_cpas._safe_pickle import load_numpy_pickle
 from pytest_cpas.datasets._files import natural
-from pytest_cpas.datasets._images import image_size
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers
+from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
@@ -96,7 +95,7 @@ class Wild6D(RecordTree):
                 if lacks:
                     scan.lacks("annotated images without colour, depth or mask", lacks[0])
                     continue
-                size = size or image_size(self.root / files[0])
+                size = size or scan.image_size(files[0])
                 record = self._record(annotation, files, [*size, *intrinsics])
                 ref_id = f"{category}/{sequence}/{image}"
                 model = f"{category}/{words[1]}"
@@ -106,9 +105,10 @@ class Wild6D(RecordTree):
 
     def _image(self, annotation: Any) -> int:
         name = annotation.get("name") if isinstance(annotation, dict) else None
-        if not isinstance(name, str) or not name.rsplit("/", 1)[-1].isdecimal():
+        number = whole(str(name).rsplit("/", 1)[-1])
+        if number is None:
             raise ContractError(f"name {name!r}, expected CATEGORY/OBJECT/SEQUENCE/N")
-        return int(name.rsplit("/", 1)[-1])
+        return number
 
     def _record(
         self, annotation: dict[str, Any], files: tuple[str, str, str], camera: list[float]

@@ -8,6 +8,8 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from pytest_cpas.datasets import _index
+
 TURN = Rotation.from_rotvec([2.0, 0.3, -0.4])
 EXTENTS_NOCS = np.array([0.1, 0.2, 0.3])
 
@@ -51,3 +53,12 @@ def tree(tmp_path: Path) -> Path:
         write_mesh(tmp_path / "fixed_real_test_obj_models" / f"{model}.obj")
         (models / f"{model}.txt").write_text("\n".join(map(str, EXTENTS_NOCS)))
     return tmp_path
+
+
+@pytest.fixture
+def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of the test's own, which also keeps trees that were written this moment."""
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("CPAS_CACHE", str(folder))
+    monkeypatch.setattr(_index, "SETTLED", -10.0)
+    return folder

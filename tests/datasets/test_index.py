@@ -9,22 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from test_bop import write_bop
+from test_folder import write_folder
+from test_nocs_fitted import write_camera25, write_real_train
+from test_other_layouts import WRITERS
 
 from pytest_cpas.datasets import _index
+from pytest_cpas.datasets.bop import Bop
+from pytest_cpas.datasets.folder import Folder
 from pytest_cpas.datasets.nocs import NocsTree, Real275
+from pytest_cpas.datasets.nocs_fitted import Camera25, RealTrain
 
 META = "real_test/scene_1/0000_meta.txt"
 TRUTH = "gts/real_test/results_real_test_scene_1_0000.pkl"
 MESH = "fixed_real_test_obj_models/mug_a.obj"
-
-
-@pytest.fixture
-def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of the test's own, which also keeps trees that were written this moment."""
-    folder = tmp_path_factory.mktemp("cache")
-    monkeypatch.setenv("CPAS_CACHE", str(folder))
-    monkeypatch.setattr(_index, "SETTLED", -10.0)
-    return folder
 
 
 def listing(root: Path) -> tuple:
@@ -132,11 +131,63 @@ def test_two_trees_do_not_share_an_index(tree, cache, tmp_path_factory) -> None:
 
 
 def test_image_overwritten_in_place_is_read_anew(tree, cache) -> None:
-    from PIL import Image
-
     before = Real275(tree)
     before.load(before.samples[0])
     path = tree / "real_test/scene_1/0000_depth.png"
     Image.fromarray(np.full((480, 640), 777, np.uint16)).save(path)
     after = Real275(tree)
     assert after.load(after.samples[0]).observation.depth.max() == np.float32(0.777)
+
+
+LOADERS = [
+    (write_camera25, Camera25),
+    (write_real_train, RealTrain),
+    (write_folder, Folder),
+    (write_bop, Bop),
+    *WRITERS,
+]
+
+
+@pytest.mark.parametrize(("write", "load"), LOADERS)
+def test_every_data_set_is_the_same_from_its_kept_index(
+    tmp_path, cache, monkeypatch, write, load
+) -> None:
+    write(tmp_path)
+    first = load(tmp_path)
+    monkeypatch.setattr(load, "scan", lambda self, scan: pytest.fail("scanned again"))
+    second = load(tmp_path)
+    assert (cache / "index").is_dir()
+    for name in ("samples", "missing", "damaged", "absent", "digest"):
+        assert getattr(second, name) == getattr(first, name)
+    for ref in second.samples:
+        ours, theirs = second.load(ref), first.load(ref)
+        np.testing.assert_array_equal(ours.observation.mask, theirs.observation.mask)
+        np.testing.assert_array_equal(ours.truth.pose.matrix, theirs.truth.pose.matrix)
+        np.testing.assert_array_equal(ours.truth.extents, theirs.truth.extents)
+
+
+@pytest.mark.parametrize(
+    ("write", "load", "mask"),
+    [
+        (write_camera25, Camera25, "val/00000/0003_mask.png"),
+        (*WRITERS[0], "test_scene1/instance/000000.png"),
+        (*WRITERS[1], "sequence_3/mask/000000.png"),
+    ],
+)
+def test_masks_that_decide_what_is_listed_are_watched(tmp_path, cache, write, load, mask) -> None:
+    write(tmp_path)
+    before = len(load(tmp_path).samples)
+    path = tmp_path / mask
+    with Image.open(path) as image:
+        pixels = np.zeros_like(image)
+    Image.fromarray(pixels).save(path)
+    assert len(load(tmp_path).samples) == before - 2
+
+
+def test_names_that_are_not_text_do_no_harm(tree, cache) -> None:
+    """A folder named in no encoding, and one of a digit that is no number."""
+    scenes = tree / "real_test"
+    for name in (b"scene_\xff", "\u00b2".encode()):
+        shutil.copytree(scenes / "scene_1", scenes / os.fsdecode(name))
+    assert len(listing(tree)[0]) == 4
+    assert listing(tree) == listing(tree)

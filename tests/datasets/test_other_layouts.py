@@ -326,7 +326,8 @@ PBTXT = "data/bottle_0/texture_5_pose_0/000000_L.pbtxt"
         (3, PBTXT, replace("keypoints", "points"), "a camera and keypoints", 3),
         (3, PBTXT, replace("z: 0", "z: -0"), "behind the camera", 3),
         (3, PBTXT, replace("fx: 150.0", "fx: wide"), "6 finite numbers", 3),
-        (3, "objects/mug_0.obj", content(b"o mesh\nv 0 0 0\n"), "no keypoints", 2),
+        (3, "objects/mug_0.obj", content(b"o mesh\nv 0 0 0\n"), "kp.000", 2),
+        (3, "objects/mug_0.obj", content(b"o mesh\nv 0 0 0\no kp.1\nv 0 0 0\n"), "kp.000", 2),
         (3, "objects/mug_0.obj", content(b"o mesh\nv 0 0\no kp.000\nv 0 0 0\n"), "finite", 2),
     ],
 )
