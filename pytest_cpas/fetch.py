@@ -146,7 +146,10 @@ def _fetch_file(file: SourceFile, folder: Path, kept: Path, tell: Callable[[str]
             archive.unlink()
         raise FetchError(f"{error}. It came from {file.url}") from error
     except OSError as error:
-        raise FetchError(f"{archive}: it cannot be unpacked ({error})") from error
+        raise FetchError(
+            f"{archive}: it cannot be unpacked ({error}); if there is space left, it is damaged:"
+            " remove it, and fetch it again"
+        ) from error
     sums.record(name, digest)
     if not (folder / file.gives).exists():
         raise FetchError(

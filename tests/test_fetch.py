@@ -3,6 +3,7 @@
 import hashlib
 import io
 import re
+import shutil
 import stat
 import struct
 import subprocess
@@ -16,6 +17,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import filelock
+import numpy as np
 import pytest
 
 from pytest_cpas import _download, _unpack, cli
@@ -321,7 +323,7 @@ GOOD = (("tree/a.txt", b"A"), ("tree/sub/b.txt", b"B"))
 MALICIOUS = {
     "zip, up": (zipped(*GOOD, ("../evil", b"x")), "'../evil' leads out of the folder"),
     "zip, up within": (zipped(*GOOD, ("tree/../../evil", b"x")), "leads out of the folder"),
-    "zip, absolute": (zipped(*GOOD, ("/tmp/evil", b"x")), "leads out of the folder"),
+    "zip, absolute": (zipped(*GOOD, ("/evil", b"x")), "leads out of the folder"),
     "zip, drive": (zipped(*GOOD, ("C:/evil", b"x")), "leads out of the folder"),
     "zip, backslash": (patched(zipped(*GOOD, ("..#evil", b"x")), b"..#e", b"..\\e"), "leads out"),
     "zip, link": (zipped(*GOOD, (zip_mode("l", stat.S_IFLNK), b"/etc/passwd")), "'l' is a link"),
@@ -337,7 +339,7 @@ MALICIOUS = {
     "zip, truncated": (zipped(*GOOD)[:-30], "not a readable archive"),
     "zip, damaged": (patched(zipped(("a", b"A" * 99)), b"\x73\x74", b"\x00\x00"), "a"),
     "tar, up": (tarred(*GOOD, ("../evil", b"x")), "'../evil' leads out of the folder"),
-    "tar, absolute": (tarred(*GOOD, ("/tmp/evil", b"x")), "leads out of the folder"),
+    "tar, absolute": (tarred(*GOOD, ("/evil", b"x")), "leads out of the folder"),
     "tar, link": (tarred(*GOOD, (tar_kind("l", tarfile.SYMTYPE, "/etc"), b"")), "'l' is a link"),
     "tar, link within": (tarred(*GOOD, (tar_kind("l", tarfile.SYMTYPE, "tree"), b"")), "is a link"),
     "tar, hard link": (
@@ -364,7 +366,7 @@ def test_bad_archive_leaves_nothing(tmp_path, kind):
     assert str(archive) in str(caught.value)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*"))
     assert left == ["archive", "outer", "outer/folder", "outer/folder/mine"]
-    assert not Path("/tmp/evil").exists()
+    assert not Path("/evil").exists()
 
 
 @pytest.mark.parametrize(
@@ -377,6 +379,26 @@ def test_good_archive(tmp_path, content):
         files = {str(p.relative_to(tmp_path)) for p in (tmp_path / "folder").rglob("*.*")}
         assert files == {"folder/tree/a.txt", "folder/tree/sub/b.txt"}
         assert (tmp_path / "folder/tree/sub/b.txt").read_bytes() == b"B"
+
+
+@pytest.mark.parametrize("mode", ["zip", "w", "w:gz", "w:bz2", "w:xz"])
+def test_any_damage_is_an_error_or_harmless(tmp_path, mode):
+    """Some bytes exchanged, some cut off: an error that is announced, and nothing left behind."""
+    members = (*GOOD, ("noise", bytes(range(256))))
+    good = zipped(*members) if mode == "zip" else tarred(*members, mode=mode)
+    rng = np.random.default_rng(0)
+    outer = tmp_path / "outer"
+    for _ in range(60):
+        damaged = bytearray(good)
+        damaged[rng.integers(len(good))] = rng.integers(256)
+        (tmp_path / "archive").write_bytes(damaged[: rng.choice([len(good), len(good) // 2])])
+        (outer / "folder").mkdir(parents=True)
+        try:
+            unpack(tmp_path / "archive", outer / "folder")
+        except (ArchiveError, OSError):
+            assert list((outer / "folder").iterdir()) == []
+        assert [path.name for path in outer.iterdir()] == ["folder"]
+        shutil.rmtree(outer)
 
 
 def test_links_in_the_folder_are_not_followed(tmp_path):

@@ -21,6 +21,9 @@ from pytest_cpas.types import Array
 
 __all__ = ["draw_up_axes", "print_survey"]
 
+#: A survey of at most this many samples shows each of them.
+_FEW = 20
+
 _PANEL, _MARGIN, _SCALE = 400, 24, 2
 _RADIUS = _PANEL // 2 - _MARGIN
 _INK, _PALE, _DOT = (40, 40, 40), (190, 190, 190), (20, 90, 170)
@@ -44,6 +47,8 @@ def print_survey(
         )
     terminal.write_line("")
     if survey.samples:
+        if len(survey.samples) <= _FEW or terminal.config.get_verbosity() > 0:
+            print_table(terminal, _sample_lines(survey))
         print_table(terminal, _category_lines(survey))
         spread = up_axis_spread(survey.up_axes)
         terminal.write_line(
@@ -57,6 +62,19 @@ def print_survey(
         f"{survey.name}: {survey.examined} of {len(survey.refs)} samples{part} examined, with"
         f" {len(survey.meshes)} meshes; {len(verdicts)} checks: {counts}"
     )
+
+
+def _sample_lines(survey: Survey) -> list[list[str]]:
+    lines = [["sample", "category", "|depth| median", "signed", "IoU"]]
+    for facts in survey.samples.values():
+        image = facts.image
+        cells = ["n/a"] * 3
+        if image is not None and image.residual is not None and image.offset is not None:
+            cells[:2] = [f"{1000 * image.residual:.1f} mm", f"{1000 * image.offset:+.1f} mm"]
+        if image is not None and image.iou is not None:
+            cells[2] = f"{image.iou:.3f}"
+        lines.append([facts.sample, facts.category, *cells])
+    return lines
 
 
 def _category_lines(survey: Survey) -> list[list[str]]:

@@ -67,6 +67,7 @@ def test_fault_is_named(check, pytester, how):
             "scene_1/0001/1 (bottle, bottle_0): the median |measured - rendered| depth is 4*",
             "depth         FAILED  scene_1/0001/1 (bottle, bottle_0): *",
             "masks         passed",
+            "scene_1/0001/1    bottle * 4?.? mm  +4?.? mm  0.*",
             "category  samples  |depth| median*",
             "bottle          3 * mm* mm* mm *",
             "held: 3 of 3 samples examined, with 1 meshes; 12 checks: 9 passed, 1 FAILED, 2 n/a",
