@@ -161,12 +161,12 @@ class RunTable:
             )
         return text.getvalue()
 
-    def table_toml(self) -> str:
-        """The text of ``table.toml``; it names the digest of the samples."""
+    def table_toml(self, samples_csv: str) -> str:
+        """The text of ``table.toml``; it names the digest of ``samples.csv``."""
         lines = [
             "# Recorded by pytest-cpas; --snapshot-update records it anew.",
             f"format = {FORMAT}",
-            f"samples_sha256 = {_quoted(_digest(self.samples_csv()))}",
+            f"samples_sha256 = {_quoted(_digest(samples_csv))}",
             f"seeds = {self.seeds}",
         ]
         for title, values in (("identity", self.identity), ("provenance", self.provenance)):
@@ -282,7 +282,8 @@ def _write(folder: Path, table: RunTable) -> None:
     Replacing the table commits: from then on :func:`read_golden` takes the samples that it names
     from the file that is still waiting, should the writer die before that has got its place.
     """
-    samples, cells = table.samples_csv(), table.table_toml()
+    samples = table.samples_csv()
+    cells = table.table_toml(samples)
     waiting, new = _waiting(folder, _digest(samples)), folder / ".table.toml"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -71,13 +71,14 @@ class GoldenExtension(AbstractSyrupyExtension):
                 f"cpas_golden is compared with a {type(data).__name__}, expected a"
                 " pytest_cpas.golden.RunTable, as RunTable.of(run) gives it"
             )
+        samples = data.samples_csv()
         return json.dumps(
             {
                 "method": data.method,
                 "dataset": data.dataset,
                 "listed": dict(data.listed),
-                "table": data.table_toml(),
-                "samples": data.samples_csv(),
+                "table": data.table_toml(samples),
+                "samples": samples,
             }
         )
 
