@@ -228,6 +228,8 @@ def test_bad_server(server, tmp_path, how, words):
 def test_no_server(tmp_path):
     with pytest.raises(FetchError, match="interrupted"):
         download("http://127.0.0.1:9/a.bin", tmp_path / "a.bin", None)
+    with pytest.raises(FetchError, match="is there a connection"):
+        _download.announced_size("http://127.0.0.1:9/a.bin")
 
 
 def test_file_without_end(server, tmp_path, monkeypatch):
