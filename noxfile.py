@@ -112,9 +112,10 @@ def docs_figures(session: nox.Session) -> None:
 
 @nox.session
 def faults(session: nox.Session) -> None:
-    """Plant every fault of the catalogue: each is caught, and each property catches one."""
+    """Plant every fault of the catalogues, in metrics and in a method; every check catches one."""
     install(session, "-e", ".", "--group", "test")
     session.run("python", "tests/checks/faults.py", *session.posargs, env=ENV)
+    session.run("python", "tests/checks/method_faults.py", *session.posargs, env=ENV)
 
 
 @nox.session

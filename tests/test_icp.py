@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from observing import CAMERA, observe
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -17,32 +18,14 @@ from method_adapters._icp_evidence import Evidence
 from method_adapters.icp import Icp
 from pytest_cpas.datasets.shapes import mean_shape
 from pytest_cpas.metrics.surfaces import sample_surface
-from pytest_cpas.types import CATEGORIES, Camera, Mesh, Method, Observation, Pose
+from pytest_cpas.types import CATEGORIES, Mesh, Method, Observation, Pose
 
-CAMERA = Camera(320, 240, 300.0, 300.0, 159.5, 119.5)
 ROOT = Path(__file__).parents[1]
 SYMMETRIC = ("bottle", "bowl", "can")
 
 #: The camera looks down at an upright object by 30 degrees, which is turned by 40 about its axis.
 UPRIGHT = Rotation.from_euler("x", 210, degrees=True) * Rotation.from_euler("y", 40, degrees=True)
 FREE = Rotation.from_euler("xyz", [70, -35, 160], degrees=True)
-
-
-def splat(points: NDArray[np.float64], camera: Camera) -> NDArray[np.float32]:
-    """Depth of a densely sampled closed surface: the nearest sample of every pixel."""
-    u, v = np.rint(camera.project(points)).astype(int).T
-    depth = np.full((camera.height, camera.width), np.inf)
-    np.minimum.at(depth, (v, u), points[:, 2])
-    return np.where(np.isinf(depth), 0, depth).astype(np.float32)
-
-
-def observe(mesh: Mesh, pose: Pose, category: str, background: float = 2.0) -> Observation:
-    depth = splat(pose.apply(sample_surface(mesh, 400_000, seed=5)), CAMERA)
-    mask = depth > 0
-    depth[~mask] = background
-    depth = np.round(depth, 3)  # whole millimetres, as a sensor gives them
-    rgb = np.zeros((*depth.shape, 3), np.float32)
-    return Observation(category, rgb, depth, mask, CAMERA)
 
 
 @pytest.fixture(scope="module")
