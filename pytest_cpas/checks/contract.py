@@ -178,7 +178,10 @@ class MethodSubject:
 
 
 def difference(one: Prediction, other: Prediction, tolerance: float) -> str:
-    """How the best hypotheses differ by more than ``tolerance`` (metres, radians); else empty."""
+    """How the best hypotheses differ by more than ``tolerance`` (metres, radians); else empty.
+
+    Of lengths above a metre, the tolerance is a share: so does float noise grow.
+    """
     if not one.hypotheses or not other.hypotheses:
         if bool(one.hypotheses) == bool(other.hypotheses):
             return "" if one.reason == other.reason else f"{one.reason!r}, not {other.reason!r}"
@@ -195,7 +198,8 @@ def difference(one: Prediction, other: Prediction, tolerance: float) -> str:
             return f"{name} is of another kind"
         if x is not None and y is not None:
             apart = float(np.abs(x - y).max())
-            parts.append((f"{name} differs by {1000 * apart:.3g} mm", apart))
+            unit = max(1.0, float(np.abs(x).max()))
+            parts.append((f"{name} differs by {1000 * apart:.3g} mm", apart / unit))
     if a.score is not None and b.score is not None:
         apart = abs(a.score - b.score)
         parts.append((f"score differs by {apart:.3g}", apart))
