@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from pytest_cpas.datasets._images import read_ids
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._masks import visible
 from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._tree import Tree
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.datasets.rendering import hidden, render
 from pytest_cpas.types import (
     Array,
     Camera,
@@ -113,7 +113,7 @@ class RecordTree(Tree):
             mask = ids > 0 if record.mask_id is None else ids == record.mask_id
             where = record.mask
         elif isinstance(truth.surface, Mesh):
-            mask = visible(truth.surface, truth.pose, depth, camera)
+            mask = _visible(truth.surface, truth.pose, depth, camera)
             where = record.depth
         else:
             raise ContractError(f"{record.rgb}: neither a mask nor a mesh to render one from")
@@ -149,3 +149,15 @@ class RecordTree(Tree):
                 scan.add(ref, record)
             else:
                 scan.lacks("objects that are hidden in their image", ref.id)
+
+
+def _visible(
+    mesh: Mesh, pose: Pose, depth: NDArray[np.float32], camera: Camera
+) -> NDArray[np.bool_]:
+    """Where (H, W) a posed mesh is seen and nothing was measured in front of it.
+
+    ``depth`` (H, W): measured metres, 0 = missing. A pixel without a measurement counts as seen.
+    """
+    rendered = render([(mesh, pose)], camera).depth
+    mask: NDArray[np.bool_] = (rendered > 0) & ~hidden(rendered, depth)
+    return mask

@@ -17,12 +17,17 @@ CLASS_IDS = {"bowl": 2, "mug": 6}
 SYNSETS = {"bowl": "02880940", "mug": "03797390"}
 
 
-def coordinates(made: Frame) -> np.ndarray:
+#: The meshes of CAMERA25 need not be centred: where the box's centre is, NOCS axes and units.
+CENTRE = np.array([0.03, -0.02, 0.04])
+
+
+def coordinates(made: Frame, centre: np.ndarray) -> np.ndarray:
     """``coord.png``: red, green and blue are x, y and 1 - z of the NOCS map."""
     pixels = np.full((*made.seen.depth.shape, 3), 255, np.uint8)
     for index, item in enumerate(made.objects):
         low, high = item.mesh.bounds
-        nocs = made.object_points(index) @ NOCS_FROM_SHAPENET.T / np.linalg.norm(high - low) + 0.5
+        nocs = made.object_points(index) @ NOCS_FROM_SHAPENET.T / np.linalg.norm(high - low)
+        nocs += centre + 0.5
         nocs[:, 2] = 1 - nocs[:, 2]
         pixels[made.mask(index)] = np.round(255 * nocs)
     return pixels
@@ -38,14 +43,14 @@ def write_camera25(root: Path) -> dict[str, Frame]:
         other = np.full_like(ids, 7)
         save(root / f"{stem}_mask.png", np.stack([ids, other, other, other + 248], axis=-1))
         save(root / f"{stem}_color.png", np.dstack([made.colour, other]))
-        save(root / f"{stem}_coord.png", np.dstack([coordinates(made), other]))
+        save(root / f"{stem}_coord.png", np.dstack([coordinates(made, CENTRE), other]))
         save(root / f"camera_full_depths/{stem}_composed.png", made.millimetres)
         lines = ["4 2 02880940 b", "1 6 03797390 m", "2 6 03797390 m", "3 0 00000000 thing"]
         (root / f"{stem}_meta.txt").write_text("\n".join(lines))
         frames[stem.removeprefix("val/")] = made
     for item, name in zip(made.objects, ("m", "b"), strict=True):
         low, high = item.mesh.bounds
-        nocs = item.mesh.vertices @ NOCS_FROM_SHAPENET.T / np.linalg.norm(high - low)
+        nocs = item.mesh.vertices @ NOCS_FROM_SHAPENET.T / np.linalg.norm(high - low) + CENTRE
         path = root / f"obj_models/val/{SYNSETS[item.category]}/{name}/model.obj"
         save_obj(path, nocs * [1, 1, -1], item.mesh.triangles[:, ::-1])
     return frames
@@ -56,7 +61,7 @@ def write_real_train(root: Path) -> dict[str, Frame]:
     stem = "real_train/scene_2/0010"
     save(root / f"{stem}_mask.png", np.choose(made.seen.instance + 1, [255, 1, 4]).astype(np.uint8))
     save(root / f"{stem}_color.png", made.colour)
-    save(root / f"{stem}_coord.png", coordinates(made))
+    save(root / f"{stem}_coord.png", coordinates(made, np.zeros(3)))
     save(root / f"{stem}_depth.png", made.millimetres)
     (root / f"{stem}_meta.txt").write_text("1 6 mug_a\n4 2 bowl_b\n")
     for item, name in zip(made.objects, ("mug_a", "bowl_b"), strict=True):

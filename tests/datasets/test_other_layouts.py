@@ -73,7 +73,7 @@ def write_phocal(root: Path) -> list[tuple[str, Frame, int]]:
         made = frame(CAMERA, number)
         name = f"{number:06d}"
         save(sequence / f"rgb/{name}.png", made.colour)
-        save(sequence / f"depth/{name}.png", made.millimetres)
+        save(sequence / f"depth/{name}.png", (2 * made.millimetres).astype(np.uint16))
         save(
             sequence / f"mask/{name}.png", np.choose(made.seen.instance + 1, [0, 2, 3]).astype("u1")
         )
@@ -95,7 +95,7 @@ def write_phocal(root: Path) -> list[tuple[str, Frame, int]]:
         if number != 1:
             expected += [(f"sequence_3/{name}/2", made, 0), (f"sequence_3/{name}/3", made, 1)]
     (sequence / "rgb_scene_gt.json").write_text(json.dumps(truths))
-    camera = {"fx": 150.0, "fy": 148.0, "cx": 80.5, "cy": 61.0, "depth_scale": 1000}
+    camera = {"fx": 150.0, "fy": 148.0, "cx": 80.5, "cy": 61.0, "depth_scale": 2000}
     (sequence / "scene_camera.json").write_text(json.dumps({"rgb": camera}))
     np.savez(sequence / "train_test_split.npz", train_idxs=[1], test_idxs=[0, 2])
     taxonomy: dict[str, Any] = {
@@ -361,6 +361,15 @@ def test_damaged_exr(tmp_path, damage, words) -> None:
         data.load(data.samples[0])
     assert words in str(caught.value)
     data.load(data.samples[1])
+
+
+def test_glass_is_symmetric(tmp_path: Path) -> None:
+    write_housecat6d(tmp_path)
+    label(class_ids=[4, 1, 8])(tmp_path / LABEL)
+    data = HouseCat6D(tmp_path)
+    assert data.samples[1].category == "glass"
+    assert data.truth(data.samples[1]).symmetry.axis.tolist() == [0, 1, 0]
+    assert data.truth(data.samples[0]).symmetry.axis is None
 
 
 def test_missing_meshes_are_named_once(tmp_path: Path) -> None:
