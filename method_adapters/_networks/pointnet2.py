@@ -66,6 +66,25 @@ def farthest_points(
     return order[chosen.T]
 
 
+def sampled_levels(
+    xyz: Tensor,
+    counts: Sequence[int],
+    *,
+    max_threads: int,
+    skip_radius_squared: float | None = None,
+) -> list[Tensor]:
+    """Farthest points of farthest points: per level the indices (B, M) of its points among those
+    of the level before, the first among ``xyz`` (B, N, 3)."""
+    indices = []
+    for count in counts:
+        index = farthest_points(
+            xyz, count, max_threads=max_threads, skip_radius_squared=skip_radius_squared
+        )
+        indices.append(index)
+        xyz = gather(xyz.mT, index).mT
+    return indices
+
+
 def ball_query(distances: Tensor, radius: float, count: int) -> Tensor:
     """Indices (B, M, ``count``) of the first points nearer than ``radius``, ascending.
 
@@ -211,17 +230,12 @@ class PointNet2(nn.Module):
 
     def samples(self, xyz: Tensor) -> list[Tensor]:
         """Per level the indices (B, M) of its points among those of the level before."""
-        indices = []
-        for count in self.LEVELS:
-            index = farthest_points(
-                xyz,
-                count,
-                max_threads=self.max_threads,
-                skip_radius_squared=self.skip_radius_squared,
-            )
-            indices.append(index)
-            xyz = gather(xyz.mT, index).mT
-        return indices
+        return sampled_levels(
+            xyz,
+            self.LEVELS,
+            max_threads=self.max_threads,
+            skip_radius_squared=self.skip_radius_squared,
+        )
 
     def forward(self, xyz: Tensor) -> Tensor:
         """See the class."""
