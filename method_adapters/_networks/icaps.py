@@ -61,7 +61,8 @@ class Decoder(nn.Module):
         x = self.fc(codes).view(-1, self.WIDTHS[0], 8, 8)
         for i in range(1, len(self.WIDTHS)):
             x = self.get_submodule(f"layer{i}")(x)
-        return x
+        crops: Tensor = x
+        return crops
 
 
 class AutoEncoder(nn.Module):
@@ -138,7 +139,8 @@ class WeightNormLinear(nn.Module):
     @property
     def weight(self) -> Tensor:
         """The matrix (after, before)."""
-        return self.weight_v * (self.weight_g / self.weight_v.norm(dim=1, keepdim=True))
+        matrix: Tensor = self.weight_v * (self.weight_g / self.weight_v.norm(dim=1, keepdim=True))
+        return matrix
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, before) to (B, after)."""
@@ -181,7 +183,8 @@ class Shape:
 
     def __init__(self, network: DeepSdf, latent: Tensor) -> None:
         """``latent``: (1, 256)."""
-        self._weights, self._biases = [], []
+        self._weights: list[Tensor] = []
+        self._biases: list[Tensor] = []
         with torch.no_grad():
             for i in range(network.LAYERS):
                 layer: Any = network.get_submodule(f"lin{i}")
@@ -203,7 +206,8 @@ class Shape:
     def distances(self, points: Tensor) -> Tensor:
         """Signed distances (N,) at points (N, 3), model units."""
         with torch.no_grad():
-            return torch.cat([self._forward(part)[0] for part in points.split(self.CHUNK)])
+            parts = torch.split(points, self.CHUNK)
+            return torch.cat([self._forward(part)[0] for part in parts])
 
     def distances_and_gradients(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Signed distances (N,) at points (N, 3) and their gradients (N, 3)."""

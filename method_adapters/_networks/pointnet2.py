@@ -15,6 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+#: Clouds up to this size are sampled with a table of all their distances, which is faster.
+TABLE_POINTS = 5000
+
 
 def squared_distances(a: Tensor, b: Tensor) -> Tensor:
     """Squared distances (B, M, N) of (B, M, 3) and (B, N, 3), summed in the kernels' order."""
@@ -43,13 +46,13 @@ def farthest_points(
 
     Points with a squared distance from the origin up to ``skip_radius_squared`` are never chosen,
     except index 0, which is always the first and takes the place of all if none is left (DPDN's
-    kernel has 1e-3). Takes 4 B N^2 bytes.
+    kernel has 1e-3). Takes 4 B N^2 bytes for up to ``TABLE_POINTS`` points.
     """
     batch, n, _ = xyz.shape
     order = tie_order(n, max_threads).to(xyz.device)
     ordered = xyz[:, order]
     # the first maximum is the one that the kernels prefer, once the points stand in their order
-    distances = squared_distances(ordered, ordered).flatten(0, 1)
+    table = squared_distances(ordered, ordered).flatten(0, 1) if n <= TABLE_POINTS else None
     running = torch.full((batch, n), torch.inf, device=xyz.device)
     if skip_radius_squared is not None:
         x, y, z = ordered.unbind(-1)
@@ -59,7 +62,11 @@ def farthest_points(
     last_rows, to_last = first_rows.clone(), torch.empty_like(running)
     chosen = torch.zeros((count, batch), dtype=torch.int64, device=xyz.device)
     for place in chosen[1:].unbind(0):
-        torch.index_select(distances, 0, last_rows, out=to_last)
+        if table is None:
+            last = ordered.flatten(0, 1)[last_rows][:, None]
+            to_last = squared_distances(last, ordered)[:, 0]
+        else:
+            torch.index_select(table, 0, last_rows, out=to_last)
         torch.minimum(running, to_last, out=running)
         torch.argmax(running, dim=1, out=place)
         torch.add(place, first_rows, out=last_rows)

@@ -17,20 +17,16 @@ from torch import Tensor, nn
 from method_adapters._assets import AssetError
 
 #: Where published checkpoints keep the weights, if not at the top.
-NESTED = ("model", "state_dict")
+NESTED = ("model", "state_dict", "aae_state_dict", "model_state_dict")
 
 
-def read_checkpoint(path: Path) -> dict[str, Tensor]:
-    """The tensors of a checkpoint by parameter name, on the CPU.
-
-    Read without running what is in the file. Weights below a key of ``NESTED``, and names with the
-    prefix ``module.`` that DataParallel gives, become plain ones. Raises :class:`AssetError`.
-    """
+def read_tensors(path: Path) -> Any:
+    """What a file holds, tensors on the CPU; nothing in it is run. Raises :class:`AssetError`."""
     try:
         with warnings.catch_warnings():
             # of another pickle protocol; what it cannot read raises
             warnings.simplefilter("ignore", UserWarning)
-            content = torch.load(path, map_location="cpu", weights_only=True)
+            return torch.load(path, map_location="cpu", weights_only=True)
     except (
         pickle.UnpicklingError,
         RuntimeError,
@@ -44,6 +40,15 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
             " torn, a web page, or it holds code, which is never run. Fetch it again"
             f" ({type(error).__name__}: {reason[0] if reason else 'no reason given'})"
         ) from error
+
+
+def read_checkpoint(path: Path) -> dict[str, Tensor]:
+    """The tensors of a checkpoint by parameter name, on the CPU.
+
+    Weights below a key of ``NESTED``, and names with the part ``module.`` that DataParallel puts
+    in, become plain ones. Raises :class:`AssetError`.
+    """
+    content = read_tensors(path)
     for key in NESTED:
         if isinstance(content, Mapping) and isinstance(content.get(key), Mapping):
             content = content[key]
@@ -53,9 +58,10 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
     other = [str(key) for key, value in content.items() if not isinstance(value, Tensor)]
     if other:
         raise AssetError(f"{path}: {_some(other)} are no tensors, expected tensors alone")
-    if all(key.startswith("module.") for key in content):
-        return {key.removeprefix("module."): value for key, value in content.items()}
-    return dict(content)
+    return {
+        ".".join(part for part in key.split(".") if part != "module"): value
+        for key, value in content.items()
+    }
 
 
 def load_weights(network: nn.Module, path: Path, unused: Sequence[str] = ()) -> None:
