@@ -18,12 +18,13 @@ Array = NDArray[np.float64]
 
 #: Particles in the first image and in the following ones.
 FIRST_PARTICLES, NEXT_PARTICLES = 300, 100
-#: Noise of a particle's place in the image, pixels, and of its depth, metres.
-UV_NOISE, Z_NOISE = 10.0, 0.02
+#: Noise of a particle's place in the image, pixels, and of its depth, metres; and its share where
+#: an image is looked at again.
+UV_NOISE, Z_NOISE, AGAIN = 10.0, 0.02, 0.3
 #: Depths at which objects are looked for, metres.
 NEAREST, FARTHEST = 0.2, 2.0
 #: How far a code's cosine similarity may be below the best one.
-SIMILARITY_NOISE = 0.05
+SIMILARITY_NOISE = 0.02
 #: How far an object turns from one image to the next, and the weight of all rotations beside.
 TURN_NOISE, TURN_ANY = np.deg2rad(10.0), 1e-3
 #: Rotations of the codebook that are averaged with the most probable one.
@@ -127,7 +128,8 @@ def first_belief(
     # the middle is behind what is seen, at most as far as the object reaches to the side
     particles[:, 2] += generator.uniform(0, spread, FIRST_PARTICLES)
     particles[:, 2] += Z_NOISE * generator.standard_normal(FIRST_PARTICLES)
-    particles[:, 2] = particles[:, 2].clip(NEAREST, FARTHEST)
+    first = _belief(view, _in_range(particles), None, match, quaternions, None)
+    particles = _resampled(first, AGAIN, generator)
     return _belief(view, particles, None, match, quaternions, None)
 
 
@@ -135,13 +137,21 @@ def next_belief(
     view: View, last: Belief, match: Match, quaternions: Array, generator: np.random.Generator
 ) -> Belief:
     """Where the object of the last image, of the same size, is in the next one."""
-    # systematic resampling
+    particles = _resampled(last, 1, generator)
+    return _belief(view, particles, last.radius, match, quaternions, last.rotation)
+
+
+def _resampled(last: Belief, share: float, generator: np.random.Generator) -> Array:
+    """Particles (100, 3) by systematic resampling, with a share of the noise."""
     places = (generator.uniform() + np.arange(NEXT_PARTICLES)) / NEXT_PARTICLES
     chosen = np.searchsorted(np.cumsum(last.weights), places).clip(max=len(last.weights) - 1)
     noise = generator.standard_normal((NEXT_PARTICLES, 3)) * [UV_NOISE, UV_NOISE, Z_NOISE]
-    particles = last.particles[chosen] + noise
-    particles[:, 2] = particles[:, 2].clip(NEAREST, FARTHEST)
-    return _belief(view, particles, last.radius, match, quaternions, last.rotation)
+    return _in_range(last.particles[chosen] + share * noise)
+
+
+def _in_range(particles: Array) -> Array:
+    u, v, z = particles.T
+    return np.stack([u, v, z.clip(NEAREST, FARTHEST)], axis=1)
 
 
 def _belief(
@@ -153,7 +163,10 @@ def _belief(
     last_rotation: Array | None,
 ) -> Belief:
     """Weigh particles by what they see, and estimate from them."""
-    radii = view.radii(view.positions(particles)) if radius is None else radius + 0 * particles.T[0]
+    if radius is None:
+        radii = view.radii(view.positions(particles))
+    else:
+        radii = np.full(len(particles), radius)
     similarity = match(view.depth, view.regions(particles, radii), particles[:, 2], radii)
     best = float(similarity.max())
     if not np.isfinite(best):
@@ -161,19 +174,21 @@ def _belief(
     # of particles (rows) and rotations (columns), together
     likelihood = np.exp(-((similarity - best) ** 2) / (2 * SIMILARITY_NOISE**2))
     if last_rotation is not None:
-        middle = np.average(view.positions(particles), axis=0)
+        middle = view.positions(particles.mean(axis=0)[None])[0]
         likelihood *= _turn_prior(quaternions, towards(middle).T @ last_rotation)
-    weights = likelihood.sum(axis=1, dtype=float)
-    weights /= weights.sum()
-    mean = weights @ particles
+    # the most probable rotation, and those around it with the positions that they fit
+    near = _angles(quaternions, quaternions[likelihood.max(axis=0).argmax()]) <= AVERAGED
+    share = likelihood[:, near].sum(axis=1, dtype=float)
+    mean = share @ particles / share.sum()
     translation = view.positions(mean[None])[0]
-    seen_along_the_axis = _mean_rotation(quaternions, likelihood.sum(axis=0, dtype=float))
+    rotation = _mean_rotation(quaternions[near], share @ likelihood[:, near])
+    weights = likelihood.sum(axis=1, dtype=float)
     return Belief(
         particles,
-        weights,
-        towards(translation) @ seen_along_the_axis,
+        weights / weights.sum(),
+        towards(translation) @ rotation,
         translation,
-        float(weights @ radii),
+        float(share @ radii / share.sum()),
     )
 
 
@@ -183,12 +198,9 @@ def _turn_prior(quaternions: Array, rotation: Array) -> NDArray[np.float32]:
     return prior + np.float32(TURN_ANY)
 
 
-def _mean_rotation(quaternions: Array, probability: Array) -> Array:
-    """The mean (3, 3) of the rotations near the most probable one (Markley et al., 2007)."""
-    mode = quaternions[int(probability.argmax())]
-    near = _angles(quaternions, mode) <= AVERAGED
-    chosen, share = quaternions[near], probability[near]
-    _, vectors = np.linalg.eigh((chosen * share[:, None]).T @ chosen)
+def _mean_rotation(quaternions: Array, weights: Array) -> Array:
+    """The weighted mean (3, 3) of rotations (Markley et al., 2007)."""
+    _, vectors = np.linalg.eigh((quaternions * weights[:, None]).T @ quaternions)
     return Rotation.from_quat(vectors[:, -1], scalar_first=True).as_matrix()
 
 

@@ -92,7 +92,8 @@ class Refiner:
     def follow(self, points: Array, placed: Placed, shape: Shape) -> Placed:
         """Where the object of a known shape is, from a first placement."""
         increment = _Increment(points, placed, self._device)
-        increment.descend(shape)
+        for _ in range(ROUNDS):
+            increment.descend(shape)
         return increment.placed()
 
     @property

@@ -35,7 +35,7 @@ def _axis_weights(low: Tensor, high: Tensor, size: int, bins: int) -> Tensor:
     below = at.floor().long()
     above = (below + 1).clamp(max=size - 1)
     part = at - below
-    weights = torch.zeros((*at.shape[:2], size), device=low.device)
+    weights = torch.zeros((*at.shape[:2], size), dtype=at.dtype, device=at.device)
     weights.scatter_add_(2, below, share * (1 - part))
     weights.scatter_add_(2, above, share * part)
     return weights

@@ -2,6 +2,9 @@
 
 The object is a convex body with eight faces, one per octant, of which no two are alike. Its signed
 distance is linear in every octant, so that the DeepSDF decoder can be given weights that are it.
+
+``python tests/ports/icaps_cases.py record`` records, ``... weights DIR`` writes a folder for
+``--cpas-weights``; see cases.py.
 """
 
 import functools
@@ -17,16 +20,18 @@ from scipy.spatial.transform import Rotation
 from method_adapters._networks.icaps import AutoEncoder, DeepSdf, LatentNet
 from method_adapters._networks.icaps_matching import Codebook, Matcher, normalised_crops
 from method_adapters._networks.icaps_refinement import Refiner
-from method_adapters._particle_filter import towards
+from method_adapters._particle_filter import View
 from method_adapters.icaps import _ASSETS, RATIOS, ICaps
 from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.types import CATEGORIES, Camera, Observation
 
 NETWORKS = {"icaps_aae": AutoEncoder, "icaps_latentnet": LatentNet, "icaps_deepsdf": DeepSdf}
 SEED = 4
-#: Slopes of the distance along x, -x, y, -y, z, -z, and the distance at the origin.
-SLOPES = np.array([0.8, 0.6, 0.5, 0.6, 0.9, 0.75])
-DEPTH = 0.45
+#: Where the object's corners are along x, -x, y, -y, z, -z, model units.
+CORNERS = np.array([0.625, 0.83, 1.0, 0.83, 0.55, 0.67])
+#: The distance's slopes along them, at most 1 together, and minus the distance at the origin.
+DEPTH = 0.3
+SLOPES = DEPTH / CORNERS
 CAMERA = Camera(640, 480, 577.0, 579.0, 319.5, 239.5)
 
 
@@ -70,7 +75,7 @@ def decoder() -> DeepSdf:
 
 def corners():
     """The object's corners (6, 3), model units."""
-    return np.repeat(np.eye(3), 2, axis=0) * [[1], [-1]] * 3 * (DEPTH / SLOPES)[:, None]
+    return np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3) * CORNERS[:, None]
 
 
 def render(rotation, translation, unit, category="mug", camera=CAMERA):
@@ -90,5 +95,134 @@ def render(rotation, translation, unit, category="mug", camera=CAMERA):
     return Observation(category, rgb, depth, mask, camera)
 
 
+def shrunk(crops):
+    """In place of the auto-encoder: codes are small pictures."""
+    return torch.nn.functional.adaptive_avg_pool2d(crops, (8, 16)).flatten(1)
+
+
+class NoLatent(torch.nn.Module):
+    """In place of LatentNet, where the decoder does without a code."""
+
+    def forward(self, points):
+        return (torch.zeros((len(points), 256)),)
+
+
+def crops_of(view, position):
+    """What is compared with the codebook, if the object is at a position (3,)."""
+    particle = view.particles(position[None])
+    radius = view.radii(position[None])
+    image = np.stack([view.depth, view.depth > 0])
+    region = view.regions(particle, radius)
+    parts = [torch.from_numpy(x.astype(np.float32)) for x in (region, particle[:, 2], radius)]
+    return normalised_crops(torch.from_numpy(image), *parts)
+
+
+@functools.cache
+def rotations() -> Rotation:
+    """Of the codebook, ShapeNet axes: around one of them, up to a right angle away."""
+    turns = np.random.default_rng(3).normal(0, [[0.25]] * 300 + [[0.6]] * 200, (500, 3))
+    return Rotation.from_rotvec(turns) * Rotation.random(rng=3)
+
+
+@functools.cache
+def matcher() -> Matcher:
+    """With the codes of the object in all of ``rotations``, seen along the optical axis."""
+    at = np.array([0, 0, 0.7])
+    camera = Camera(160, 160, 577.0, 577.0, 80, 80)
+    views = [View.of(render(r.as_matrix(), at, 0.08, camera=camera)) for r in rotations()]
+    codes = shrunk(torch.cat([crops_of(view, at) for view in views]))
+    mean = codes.mean(0)  # what all have in common would make them all alike
+    made = Matcher.__new__(Matcher)
+    made._encoder = lambda crops: shrunk(crops) - mean
+    made.codebook = Codebook.__new__(Codebook)
+    made.codebook.codes = torch.nn.functional.normalize(codes - mean, dim=1)
+    nocs = rotations() * Rotation.from_matrix(NOCS_FROM_SHAPENET.T)
+    made.codebook.quaternions = nocs.as_quat(scalar_first=True)
+    return made
+
+
+def method() -> ICaps:
+    """For the object: as :meth:`load` leaves it, but for what finds the codes."""
+    made = ICaps()
+    refiner = Refiner(NoLatent(), decoder(), RATIOS["mug"])
+    made._networks = {category: (matcher(), refiner) for category in CATEGORIES}
+    return made
+
+
+def codebook() -> tuple[torch.Tensor, torch.Tensor]:
+    """A published file's content, of 500 rotations."""
+    random = np.random.RandomState(1)
+    codes = random.standard_normal((500, 128))
+    poses = np.concatenate([np.zeros((500, 3)), random.standard_normal((500, 4))], axis=1)
+    poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    return torch.from_numpy(codes).float(), torch.from_numpy(poses).float()
+
+
+def write_assets(folder: Path) -> Path:
+    """A folder for --cpas-weights: the recipe's weights, but a decoder that has a surface. All
+    categories share their files."""
+    files = {}
+    for name in ("icaps_aae", "icaps_latentnet"):
+        files[name] = {"aae_state_dict": network(name).state_dict(), "epoch": 1}
+    inside = {
+        key.replace("encoder.", "encoder.module.", 1): value
+        for key, value in files["icaps_aae"]["aae_state_dict"].items()
+    }
+    sdf = {f"module.{key}": value for key, value in decoder().state_dict().items()}
+    contents = (
+        {"aae_state_dict": inside},
+        codebook(),
+        files["icaps_latentnet"],
+        {"model_state_dict": sdf, "epoch": 2000},
+    )
+    for i, content in enumerate(contents):
+        first = None
+        for category in CATEGORIES:
+            path = folder / _ASSETS[category][i].path
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)
+            if first is None:
+                first = path
+                torch.save(content, path)
+            else:
+                path.hardlink_to(first)
+    return folder
+
+
+def network_outputs(name: str) -> list[np.ndarray]:
+    """What a network makes of inputs from a seed."""
+    random = np.random.RandomState(7)
+    made = network(name)
+
+    def given(*shape):
+        return torch.from_numpy(random.random_sample(shape).astype(np.float32))
+
+    with torch.inference_mode():
+        if name == "icaps_aae":
+            code = made.encoder(given(2, 1, 128, 128))
+            return [code.numpy(), made.decoder(code).numpy()]
+        if name == "icaps_latentnet":
+            points = given(1, 4873, 3) - 0.5
+            points[:, 4500:] = points[:, :373]
+            return [made(points)[0].numpy()]
+        distances = made(given(1, 256) - 0.5, 2 * given(200, 3) - 1)
+        return [(distances - distances.mean()).numpy()]  # they are nearly constant
+
+
+def check_network(name: str) -> None:
+    """The network's outputs are those recorded."""
+    cases.compare("icaps", name, network_outputs(name))
+
+
 if __name__ == "__main__":
-    print(corners())
+    if sys.argv[1:] == ["record"]:
+        arrays = {
+            f"{name}_{i}": cases.thinned(x)
+            for name in NETWORKS
+            for i, x in enumerate(network_outputs(name))
+        }
+        np.savez_compressed(cases.GOLDEN / "icaps.npz", **arrays)
+    elif sys.argv[1:2] == ["weights"] and len(sys.argv) == 3:
+        write_assets(Path(sys.argv[2]))
+    else:
+        sys.exit(__doc__)
