@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 #: Particles in the first image and in the following ones.
 FIRST_PARTICLES, NEXT_PARTICLES = 300, 100
 #: Noise of a particle's place in the image, pixels, and of its depth, metres; and its share where
-#: an image is looked at again.
-UV_NOISE, Z_NOISE, AGAIN = 10.0, 0.02, 0.3
+#: the place is roughly known.
+UV_NOISE, Z_NOISE, KNOWN = 10.0, 0.02, 0.3
 #: Depths at which objects are looked for, metres.
 NEAREST, FARTHEST = 0.2, 2.0
 #: How far a code's cosine similarity may be below the best one.
@@ -98,13 +98,14 @@ class View:
 class Belief:
     """``particles`` (K, 3): u, v in pixels, z in metres, and their ``weights`` (K,); the estimated
     ``rotation`` (3, 3), ``translation`` (3,) metres, and ``radius`` of the object's bounding
-    sphere."""
+    sphere; and the mean of what was ``seen`` (3,), metres."""
 
     particles: Array
     weights: Array
     rotation: Array
     translation: Array
     radius: float
+    seen: Array
 
     def corrected(self, view: View, rotation: Array, translation: Array) -> Belief:
         """With the estimate replaced by a better one; the particles are shifted with it."""
@@ -116,11 +117,8 @@ class Belief:
 def first_belief(
     view: View, match: Match, quaternions: Array, generator: np.random.Generator
 ) -> Belief:
-    """Where the object is in a first image.
-
-    The size follows from the position: the farthest observed point is on the bounding sphere.
-    ``quaternions`` (R, 4): the codebook's rotations, scalar first.
-    """
+    """Where the object is in a first image; ``quaternions`` (R, 4): the codebook's rotations,
+    scalar first."""
     seen = view.particles(view.cloud)
     middle, spread = seen.mean(axis=0), np.ptp(view.cloud[:, :2], axis=0).max() / 2
     particles = np.tile(middle, (FIRST_PARTICLES, 1))
@@ -128,25 +126,29 @@ def first_belief(
     # the middle is behind what is seen, at most as far as the object reaches to the side
     particles[:, 2] += generator.uniform(0, spread, FIRST_PARTICLES)
     particles[:, 2] += Z_NOISE * generator.standard_normal(FIRST_PARTICLES)
-    first = _belief(view, _in_range(particles), None, match, quaternions, None)
-    particles = _resampled(first, AGAIN, generator)
-    return _belief(view, particles, None, match, quaternions, None)
+    first = _belief(view, _in_range(particles), match, quaternions)
+    particles = _resampled(first, generator)
+    return _belief(view, particles, match, quaternions)
 
 
 def next_belief(
     view: View, last: Belief, match: Match, quaternions: Array, generator: np.random.Generator
 ) -> Belief:
-    """Where the object of the last image, of the same size, is in the next one."""
-    particles = _resampled(last, 1, generator)
-    return _belief(view, particles, last.radius, match, quaternions, last.rotation)
+    """Where the object of the last image is in the next one.
+
+    The particles move as the mean of the observed points does; the size stays.
+    """
+    moved = view.particles(view.positions(last.particles) + view.cloud.mean(axis=0) - last.seen)
+    particles = _resampled(replace(last, particles=moved), generator)
+    return _belief(view, particles, match, quaternions, last)
 
 
-def _resampled(last: Belief, share: float, generator: np.random.Generator) -> Array:
+def _resampled(last: Belief, generator: np.random.Generator) -> Array:
     """Particles (100, 3) by systematic resampling, with a share of the noise."""
     places = (generator.uniform() + np.arange(NEXT_PARTICLES)) / NEXT_PARTICLES
     chosen = np.searchsorted(np.cumsum(last.weights), places).clip(max=len(last.weights) - 1)
     noise = generator.standard_normal((NEXT_PARTICLES, 3)) * [UV_NOISE, UV_NOISE, Z_NOISE]
-    return _in_range(last.particles[chosen] + share * noise)
+    return _in_range(last.particles[chosen] + KNOWN * noise)
 
 
 def _in_range(particles: Array) -> Array:
@@ -157,25 +159,28 @@ def _in_range(particles: Array) -> Array:
 def _belief(
     view: View,
     particles: Array,
-    radius: float | None,
     match: Match,
     quaternions: Array,
-    last_rotation: Array | None,
+    last: Belief | None = None,
 ) -> Belief:
-    """Weigh particles by what they see, and estimate from them."""
-    if radius is None:
+    """Weigh particles by what they see, and estimate from them.
+
+    In a first image the size follows from the position: the farthest observed point is on the
+    bounding sphere.
+    """
+    if last is None:
         radii = view.radii(view.positions(particles))
     else:
-        radii = np.full(len(particles), radius)
+        radii = np.full(len(particles), last.radius)
     similarity = match(view.depth, view.regions(particles, radii), particles[:, 2], radii)
     best = float(similarity.max())
     if not np.isfinite(best):
         raise NoAnswerError("the crops' codes are not finite")
     # of particles (rows) and rotations (columns), together
     likelihood = np.exp(-((similarity - best) ** 2) / (2 * SIMILARITY_NOISE**2))
-    if last_rotation is not None:
+    if last is not None:
         middle = view.positions(particles.mean(axis=0)[None])[0]
-        likelihood *= _turn_prior(quaternions, towards(middle).T @ last_rotation)
+        likelihood *= _turn_prior(quaternions, towards(middle).T @ last.rotation)
     # the most probable rotation, and those around it with the positions that they fit
     near = _angles(quaternions, quaternions[likelihood.max(axis=0).argmax()]) <= AVERAGED
     share = likelihood[:, near].sum(axis=1, dtype=float)
@@ -189,6 +194,7 @@ def _belief(
         towards(translation) @ rotation,
         translation,
         float(share @ radii / share.sum()),
+        view.cloud.mean(axis=0),
     )
 
 

@@ -72,6 +72,7 @@ class Track(NamedTuple):
     """What is known of an object from one frame to the next."""
 
     belief: Belief
+    placed: Placed
     shape: Shape
     mesh: Mesh
 
@@ -147,7 +148,7 @@ class ICaps:
             placed = refiner.follow(points, _placed(belief), last.shape)
             shape, mesh = last.shape, last.mesh
         belief = belief.corrected(view, placed.rotation @ NOCS_FROM_SHAPENET.T, placed.translation)
-        return Track(belief, shape, mesh)
+        return Track(belief, placed, shape, mesh)
 
     def _category(self, category: str) -> tuple[Matcher, Refiner]:
         """The networks of a category, read when it is first asked for."""
@@ -182,10 +183,9 @@ def _placed(belief: Belief) -> Placed:
 
 
 def _hypothesis(track: Track) -> Hypothesis:
-    belief, vertices = track.belief, track.mesh.vertices
     return Hypothesis(
-        belief.rotation @ NOCS_FROM_SHAPENET,
-        belief.translation,
-        2 * np.abs(vertices).max(axis=0),
+        track.placed.rotation,
+        track.placed.translation,
+        2 * np.abs(track.mesh.vertices).max(axis=0),
         mesh=track.mesh,
     )

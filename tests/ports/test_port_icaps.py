@@ -253,9 +253,10 @@ def test_linear_between_evaluations_as_evaluated_always(monkeypatch):
         refiner = Refiner(icaps_cases.NoLatent(), icaps_cases.network("icaps_deepsdf"), 2.2)
         shape = refiner.shape_of(torch.zeros((1, 3)))
         poses.append(refiner.follow(points, start, shape))
-    assert degrees(poses[0].rotation, poses[1].rotation) < 0.15
-    np.testing.assert_allclose(poses[0].translation, poses[1].translation, atol=1e-4)
-    assert degrees(poses[0].rotation, start.rotation) > 1
+    assert degrees(poses[0].rotation, start.rotation) > 5
+    assert degrees(poses[0].rotation, poses[1].rotation) < 0.3
+    assert np.linalg.norm(poses[0].translation - start.translation) > 0.01
+    np.testing.assert_allclose(poses[0].translation, poses[1].translation, atol=2e-4)
 
 
 def test_placement_after_a_motion():
@@ -362,21 +363,17 @@ def test_single_view(answer, truth):
     check_single_view([answer], truth)
 
 
-def check_tracking(truth, seen):
-    """Five frames along an arc; every pose is found, the shape stays."""
+def test_tracking(truth):
+    """Four frames along an arc; every pose is found, the shape stays."""
     method = icaps_cases.method()
     poses = [(Rotation.from_rotvec([0, 0.06 * i, 0.03 * i]).as_matrix() @ truth,
               POSITION + i * np.array([0.006, 0.003, -0.008])) for i in range(4)]  # fmt: skip
     frames = [icaps_cases.render(*pose, UNIT) for pose in poses]
     found = [p.hypotheses[0] for p in method.track(frames, 0)]
     for hypothesis, (rotation, translation) in zip(found, poses, strict=True):
-        assert degrees(hypothesis.rotation, rotation) < 4
+        assert degrees(hypothesis.rotation, rotation) < 1
         np.testing.assert_allclose(hypothesis.translation, translation, atol=0.008)
         assert hypothesis.mesh is found[0].mesh
-
-
-def test_tracking(truth, seen):
-    check_tracking(truth, seen)
 
 
 @pytest.fixture
