@@ -578,12 +578,14 @@ class Method(Protocol):
 class Dataset(Protocol):
     """A data set. Made with the folder of ``--cpas-data`` (None if none was given).
 
-    ``samples`` is in a stable order and made without opening an image. ``digest`` identifies the
+    ``samples`` is in a stable order and made without opening an image, or from an index that is
+    made once. ``digest`` identifies the
     content that the samples are judged by. ``missing``: what a partial copy lacks, one line each.
     ``damaged``: what could not even be listed, one line each; the run fails over it. A data set may
     have a set ``absent`` of ids that are listed but whose images are not there, so that only their
     truth is known: no method is judged on them; ``truth(ref)``, which reads the truth of a sample
-    without its images; and ``camera``, if one took all images.
+    without its images (with them if ``quick_truth`` is False); and ``camera``, if one took all
+    images.
     """
 
     name: str

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from trees import Frame, check, frame, save, save_obj
 
 from pytest_cpas import registry
+from pytest_cpas.datasets import shapes
 from pytest_cpas.datasets.folder import Folder, parse_symmetry
 from pytest_cpas.types import Camera, ContractError
 
@@ -269,6 +270,24 @@ def test_table_saved_by_a_spreadsheet_is_read(tmp_path: Path) -> None:
     path = tmp_path / "samples.csv"
     path.write_bytes(b"\xef\xbb\xbf" + path.read_text().replace("\n", "\r\n").encode())
     assert len(Folder(tmp_path).samples) == 2
+
+
+def test_worked_example_of_the_page(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/datasets.md").read_text()
+    table = page.split("```\n")[1]
+    (tmp_path / "samples.csv").write_text(table)
+    for line in csv.DictReader(table.splitlines()):
+        save(tmp_path / line["rgb"], np.zeros((480, 640, 3), np.uint8))
+        save(tmp_path / line["depth"], np.full((480, 640), 700, np.uint16))
+        save(tmp_path / line["mask"], np.tile(np.arange(480) % 3, (640, 1)).T.astype(np.uint8))
+        mesh = shapes.mean_shape(line["category"])
+        save_obj(tmp_path / line["mesh"], mesh.vertices, mesh.triangles)
+    data = Folder(tmp_path)
+    assert (data.missing, data.damaged) == ([], [])
+    for ref in data.samples:
+        up = data.load(ref).truth.pose.rotation[:, 1]
+        assert up[1] < -0.8  # upright: the camera's y points down
+    assert len(data.samples) == 2
 
 
 def test_missing_files_are_named_once(tmp_path: Path) -> None:
