@@ -78,7 +78,7 @@ def test_merged_results_have_the_contract_of_their_shards(cpas, pytester):
 
 
 def test_merged_shards_without_the_contract_are_not_recorded(cpas, pytester):
-    cpas("Perfect", "--cpas-results=out", "-k", "not contract")
+    cpas("Perfect", "--cpas-results=out", "-k", "not test_contract")
     (path,) = (pytester.path / "out").iterdir()
     result = pytester.runpytest_inprocess(*RUN, "--snapshot-update", f"--cpas-merge={path}")
     assert result.ret == 1
@@ -86,7 +86,7 @@ def test_merged_shards_without_the_contract_are_not_recorded(cpas, pytester):
 
 
 def test_golden_table_needs_the_contract(cpas, pytester):
-    for method, *args in (("Inexact",), ("Perfect", "-k", "not contract")):
+    for method, *args in (("Inexact",), ("Perfect", "-k", "not test_contract")):
         result = cpas(method, "--snapshot-update", *args)
         assert result.ret == 1
         result.stdout.fnmatch_lines(["golden: NOT RECORDED: *"])

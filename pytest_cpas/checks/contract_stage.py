@@ -68,7 +68,10 @@ def known_violations(method: Method) -> dict[str, KnownViolation]:
 
 def smoke_samples(run: MethodRun, count: int = SMOKE_SAMPLES) -> list[Sample]:
     """``count`` samples of a run, or fewer: of different categories and scenes where possible, each
-    the one of three candidates that has the most depth in its mask. Damaged ones are left out."""
+    the one of three candidates that has the most depth in its mask. Damaged ones are left out.
+
+    Of the six categories of the field: bottle, camera, can, mug.
+    """
     by_category: dict[str, list[SampleRef]] = defaultdict(list)
     for ref in run.samples:
         by_category[ref.category].append(ref)
@@ -77,7 +80,7 @@ def smoke_samples(run: MethodRun, count: int = SMOKE_SAMPLES) -> list[Sample]:
     chosen: dict[str, Sample] = {}
     for index in range(count):
         step = max(len(categories) / count, 1)
-        refs = by_category[categories[int(index * step) % len(categories)]]
+        refs = by_category[categories[int((index + 0.5) * step) % len(categories)]]
         starts = [int((index / count + part / (3 * count)) * len(refs)) for part in range(3)]
         candidates = _read(run, [refs[i % len(refs)] for i in dict.fromkeys(starts)], chosen)
         if candidates:
