@@ -167,6 +167,7 @@ class NocsTree(Tree):
                 scan.note(model)
                 scan.hash(found[0])
             elif scan.has(_extents_path(self.frames, model)):
+                scan.hash(_extents_path(self.frames, model))
                 scan.missing.append(f"mesh {model}.obj: shape metrics of {count} samples are n/a")
             else:
                 scan.missing.append(f"mesh {model}.obj and .txt: {count} samples left out")
@@ -241,7 +242,7 @@ class NocsTree(Tree):
         path = self.root / _extents_path(self.frames, model)
         try:
             text = regular(path).read_text().split()
-        except ValueError as error:
+        except UnicodeDecodeError as error:
             raise ContractError(f"{path}: expected three extents in metres ({error})") from error
         extents = numbers(text, (3,), f"{path}: extents in metres")
         return None, permute_extents(extents, NOCS_FROM_SHAPENET.T)

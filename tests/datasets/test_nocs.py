@@ -204,9 +204,20 @@ def test_frame_with_something_else_than_files_is_damaged(tree, file, damage):
     assert "not a regular file" in line
 
 
+def test_extents_that_stand_in_for_a_mesh_are_part_of_the_digest(tree):
+    (tree / MESH).unlink()
+    first = Real275(tree).digest
+    (tree / "obj_models/real_test/mug_a.txt").write_text("0.1\n0.2\n0.31\n")
+    assert Real275(tree).digest != first
+
+
 def test_damaged_extents_file(tree):
     (tree / MESH).unlink()
-    (tree / "obj_models/real_test/mug_a.txt").write_text("0.1 0.2")
+    extents = tree / "obj_models/real_test/mug_a.txt"
+    extents.write_bytes(b"\xff\xfe0")
+    with pytest.raises(ContractError, match=r"mug_a\.txt: expected three extents"):
+        Real275(tree).load(Real275(tree).samples[1])
+    extents.write_text("0.1 0.2")
     data = Real275(tree)
     with pytest.raises(ContractError, match=r"mug_a\.txt: extents .* expected 3 finite"):
         data.load(data.samples[1])
