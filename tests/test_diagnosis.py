@@ -45,6 +45,7 @@ def evidence(test_data, info):
         info,
         unanswered=Counter(row.category for row in rows if row.estimate is None),
         focal=591.0,
+        scenes=[rows[i].sample.split("/")[0] for i in answered],
     )
 
 
@@ -322,6 +323,18 @@ SIMPLY_BAD = (
 @pytest.mark.parametrize("seed", range(2))
 def test_nothing_is_said_of_a_method_that_is_simply_bad(original, make, seed):
     assert diagnose(make(original, np.random.default_rng(seed))) == []
+
+
+@pytest.mark.parametrize("start", range(0, 800, 160))
+def test_a_method_that_is_off_in_one_scene_is_not_explained_by_it(original, start):
+    """In a few frames of one scene each object is off by an offset of its own."""
+    assert diagnose(original.part(abs(np.arange(len(original)) - start - 40) < 40)) == []
+
+
+def test_the_usual_mistakes_need_no_scenes(original):
+    few = original.part(np.arange(len(original)) < 40)
+    (found,) = diagnose(wrong(few, translation=1000 * few.answers.translation))
+    assert found.name == "unit-mm"
 
 
 def test_position_alone_is_explained_where_the_rotation_is_bad(original):

@@ -32,7 +32,8 @@ class Evidence:
     ``answers`` are in the frames that the method declared, which ``camera`` (3, 3) turns into
     OpenCV's and ``axes`` (3, 3), from ShapeNet's, lead to: a standard rotation is
     ``camera @ rotation @ axes``. ``unanswered``: per category, how many samples more have no
-    usable answer. ``focal``: the focal length in pixels, if it is known.
+    usable answer. ``focal``: the focal length in pixels, if it is known. ``scene``: where each
+    sample is from; without it, all are taken as independent of each other.
     """
 
     category: NDArray[np.str_]
@@ -43,6 +44,7 @@ class Evidence:
     axes: Array
     unanswered: Mapping[str, int] = field(default_factory=dict)
     focal: float | None = None
+    scene: NDArray[np.str_] | None = None
 
     @classmethod
     def of(
@@ -54,6 +56,7 @@ class Evidence:
         *,
         unanswered: Mapping[str, int] | None = None,
         focal: float | None = None,
+        scenes: Sequence[str] | None = None,
     ) -> Evidence:
         """From answers in the standard frames, which ``info`` declares how to turn back."""
         camera = OPENCV_FROM_OPENGL if info.camera_frame == "opengl" else np.eye(3)
@@ -82,6 +85,7 @@ class Evidence:
             axes,
             Counter(unanswered or {}) + Counter(names[~usable].tolist()),
             focal,
+            None if scenes is None else np.array(scenes, dtype=np.str_)[usable],
         )
 
     def __len__(self) -> int:
@@ -100,6 +104,7 @@ class Evidence:
             answers=select(self.answers, chosen),
             truth=select(self.truth, chosen),
             symmetry=[s for s, keep in zip(self.symmetry, chosen, strict=True) if keep],
+            scene=None if self.scene is None else self.scene[chosen],
         )
 
     def of_category(self, category: str) -> Evidence:

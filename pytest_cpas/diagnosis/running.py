@@ -12,7 +12,7 @@ from pytest_cpas.estimates import decode_estimates
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, outcomes, tabulate
 from pytest_cpas.golden import GoldenError, find_golden
 from pytest_cpas.published import published_cells
-from pytest_cpas.types import ContractError, GroundTruth
+from pytest_cpas.types import ContractError, GroundTruth, SampleRef
 
 #: A run is diagnosed if a precision is below this share of the golden one, ...
 FAR_BELOW = 0.5
@@ -74,24 +74,26 @@ def diagnose_run(run: Run, rows: Sequence[Row], expected: Expected) -> list[Find
         rows = [rows[i * len(rows) // MOST_TRUTHS] for i in range(MOST_TRUTHS)]
     refs = {ref.id: ref for ref in run.samples}
     unanswered: Counter[str] = Counter()
-    answered: list[tuple[str, str, GroundTruth]] = []
+    answered: list[tuple[SampleRef, str, GroundTruth]] = []
     for row in rows:
         if row.estimate is None:
             unanswered[row.category] += 1
             continue
+        ref = refs[row.sample]
         try:
-            truth = run.truth(refs[row.sample])
+            truth = run.truth(ref)
         except ContractError:  # judged when it was not yet damaged
             continue
         if truth is not None:
-            answered.append((row.category, row.estimate, truth))
+            answered.append((ref, row.estimate, truth))
     return diagnose(
         Evidence.of(
-            [category for category, _, _ in answered],
+            [ref.category for ref, _, _ in answered],
             decode_estimates([estimate for _, estimate, _ in answered]),
             [truth for _, _, truth in answered],
             info,
             unanswered=unanswered,
             focal=run.focal,
+            scenes=[ref.scene for ref, _, _ in answered],
         )
     )

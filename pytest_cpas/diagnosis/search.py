@@ -44,6 +44,9 @@ _TIE = 0.005
 #: Other samples' truths that each answer is compared with to see what chance does.
 _SHUFFLES = 8
 
+#: A number that was fitted must hold in so many scenes.
+_SCENES = 3
+
 #: Samples among which explanations of all samples are searched; the best one is judged on all.
 _SEARCHED = 4000
 
@@ -177,9 +180,14 @@ def _explain(evidence: Evidence, part: Part, category: str) -> Finding | None:
     searched = evidence
     if category == "all":  # with numbers fitted per sample there are fewer samples
         searched = evidence.part(np.arange(len(evidence)) % (len(evidence) // _SEARCHED + 1) == 0)
-    candidates = list(_candidates(searched, part, fitted=category != "all"))
-    best = _best(candidates, len(searched))
-    return _believed(evidence, part, category, best, len(candidates), REPAIRED)
+    every = list(_candidates(searched, part, origins=category != "all"))
+    usual = [pair for pair in every if not any(mistake.fitted for mistake in pair[0])]
+    for candidates in (every, usual):
+        best = _best(candidates, len(searched))
+        found = _believed(evidence, part, category, best, len(every), REPAIRED)
+        if found is not None:
+            return found
+    return None
 
 
 def _explain_flips(evidence: Evidence, category: str) -> Finding | None:
@@ -201,6 +209,8 @@ def _believed(
     after = _correct(evidence, answers, part)
     chance = _chance(evidence, answers, part)
     if not _believable(before, after, chance, tried, repaired):
+        return None
+    if any(mistake.fitted for mistake in mistakes) and not _general(evidence, before, after):
         return None
     return Finding(
         category,
@@ -232,7 +242,7 @@ def _name(mistakes: Sequence[Mistake]) -> str:
 
 
 def _candidates(
-    evidence: Evidence, part: Part, *, fitted: bool
+    evidence: Evidence, part: Part, *, origins: bool
 ) -> Iterator[tuple[tuple[Mistake, ...], int]]:
     """Explanations of one or two mistakes, the usual ones first, and how many they make correct."""
     frames = object_frames(evidence) if part != "position" else []
@@ -248,7 +258,7 @@ def _candidates(
         lengths: list[Mistake] = []
         if part != "rotation" and len(first) < 2:
             lengths = [*units(), *fitted_lengths(evidence, answers)]
-            if fitted:
+            if origins:
                 lengths += fitted_offsets(evidence, answers)
         for length in (None, *lengths):
             second = first if length is None else (*first, length)
@@ -293,11 +303,28 @@ def _orders(evidence: Evidence) -> Iterator[NDArray[np.int64]]:
 def _believable(before: Bools, after: Bools, chance: float, tried: int, least: float) -> bool:
     size, correct = len(before), int(after.sum())
     repaired, broken = int((after & ~before).sum()), int((before & ~after).sum())
-    if repaired - broken < least * size or repaired < _REPAIRED_PER_BROKEN * broken:
-        return False
-    if correct < (chance + least) * size:
-        return False
-    # the probability of at least as many by chance, for any of the explanations tried
+    return (
+        _worthwhile(repaired, broken, size, least)
+        and correct >= (chance + least) * size
+        and _significant(correct, size, chance, tried)
+    )
+
+
+def _general(evidence: Evidence, before: Bools, after: Bools) -> bool:
+    """Whether most scenes gain: a fitted number can be the method's error in one of them."""
+    if evidence.scene is None:
+        return True
+    scenes = [evidence.scene == name for name in np.unique(evidence.scene)]
+    gaining = sum(int(after[scene].sum()) > int(before[scene].sum()) for scene in scenes)
+    return gaining >= max(_SCENES, len(scenes) / 2)
+
+
+def _worthwhile(repaired: int, broken: int, size: int, least: float) -> bool:
+    return repaired - broken >= least * size and repaired >= _REPAIRED_PER_BROKEN * broken
+
+
+def _significant(correct: int, size: int, chance: float, tried: int) -> bool:
+    """Whether so many are hardly correct by chance, for any of the explanations tried."""
     return bool(tried * betainc(correct, size - correct + 1, chance) < _FALSE_ALARMS)
 
 
@@ -317,14 +344,16 @@ def _explain_boxes(evidence: Evidence) -> Finding | None:
     ]
     mistakes, ties = _best(candidates, len(part))
     answers = _undone(part.answers, mistakes)
-    # no other samples' truths here: extents of a category are much alike
-    if not _believable(before, part.sized(answers.extents), 0.0, len(candidates), REPAIRED):
+    sized = part.sized(answers.extents)
+    gained, lost = int((sized & ~before).sum()), int((before & ~sized).sum())
+    if not _worthwhile(gained, lost, len(part), REPAIRED):
         return None
-    return Finding(
-        "all",
-        "box",
-        mistakes,
-        Count(int(part.boxes(part.answers).sum()), evidence.total),
-        Count(int(part.boxes(answers).sum()), evidence.total),
-        ties,
-    )
+    # extents of a category are much alike, so that other samples' truths tell nothing: chance
+    # repairs as often as it breaks
+    if not _significant(gained, gained + lost, 0.5, len(candidates)):
+        return None
+    correct, repaired = (int(part.boxes(each).sum()) for each in (part.answers, answers))
+    if repaired <= correct:
+        return None
+    before_after = Count(correct, evidence.total), Count(repaired, evidence.total)
+    return Finding("all", "box", mistakes, *before_after, ties)
