@@ -94,6 +94,8 @@ class RbpPose(NetworkMethod[Inputs]):
         crop = crop_of(observation.mask)
         depth_pixels(observation.mask, observation.depth, crop)  # are there enough
         v, u = resampled_pixels(observation.mask & (observation.depth > 0), crop)
+        if len(v) == 0:
+            raise NoAnswerError("the pixels with a depth are too scattered: resampling meets none")
         picked = generator.choice(len(v), POINT_COUNT, replace=len(v) < POINT_COUNT)
         return Inputs(
             back_project(v[picked], u[picked], observation.depth, observation.camera),

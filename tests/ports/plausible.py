@@ -1,6 +1,11 @@
 """Random weights with which CASS and RBP-Pose answer with objects of a likely size where the depth
-is, so that the contract checks apply to them. ``python tests/ports/plausible.py DIR`` writes a
-folder for ``--cpas-weights``.
+is, so that the contract checks apply to them.
+
+``python tests/ports/plausible.py DIR`` writes a folder for ``--cpas-weights``; with it, golden/
+beside this file has the golden tables of
+
+    pytest --cpas-method cass --cpas-method rbppose --cpas-dataset synthetic-handheld \\
+        --cpas-weights=DIR --cpas-golden tests/ports/golden --cpas-require-golden
 """
 
 import sys
@@ -25,7 +30,7 @@ def priors() -> np.ndarray:
     sizes /= np.linalg.norm(sizes, axis=1, keepdims=True)
     shapes = ((shapes - low) / (high - low) - 0.5) * sizes[:, None]
     shapes[CATEGORIES.index("mug"), :, 0] += MUG_OFFSET
-    return shapes
+    return shapes.round(6)  # the same on every machine: a golden table knows its weights
 
 
 def weights(name: str) -> dict[str, torch.Tensor]:
@@ -46,10 +51,11 @@ def weights(name: str) -> dict[str, torch.Tensor]:
     with torch.inference_mode():
         shape = network(*cases.network_inputs(name)).shape[0]
     low, high = shape.amin(0), shape.amax(0)
+    middle, extents = ((low + high) / 2).round(decimals=3), (high - low).round(decimals=3)
     last = "foldingnet.reconstructing.Fold2.mlp.4"
-    scale = 0.15 / (high - low)
+    scale = 0.15 / extents
     state[f"{last}.weight"] *= scale[:, None]
-    state[f"{last}.bias"] = (state[f"{last}.bias"] - (low + high) / 2) * scale
+    state[f"{last}.bias"] = (state[f"{last}.bias"] - middle) * scale
     return state
 
 

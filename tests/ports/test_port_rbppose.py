@@ -116,6 +116,21 @@ def test_resampling_reaches_one_pixel_beyond_the_crop():
     assert len(rows) < 256 * 256
 
 
+def test_pixels_that_resampling_misses():
+    valid = np.zeros((480, 640), bool)
+    valid[[20, 450], [100, 530]] = True  # the crop is 440 wide
+    skipped = sorted(
+        set(range(20, 450)) - set(resampled_pixels(~valid, Crop(15, 100, 440, 440))[0])
+    )
+    mask = valid.copy()
+    mask[skipped, 300] = True
+    depth = np.where(mask & ~valid, 1, 0).astype(np.float32)
+    assert np.count_nonzero(depth) > 100
+    rgb, camera = np.zeros((480, 640, 3), np.float32), Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
+    (found,) = cases.unloaded("rbppose").predict([Observation("can", rgb, depth, mask, camera)], 0)
+    assert found.reason == "the pixels with a depth are too scattered: resampling meets none"
+
+
 def disc(radius, category="can"):
     return cases.observation(category, (320, 240), radius)
 
