@@ -28,8 +28,8 @@ def squared_distances(a: Tensor, b: Tensor) -> Tensor:
 def neighbours(xyz: Tensor, count: int) -> Tensor:
     """Indices (B, N, ``count``) of the nearest points, without the very nearest, which is the
     point itself where no other is in the same place."""
-    nearest = squared_distances(xyz, xyz).topk(count + 1, largest=False)
-    return nearest.indices[..., 1:]
+    with_itself = squared_distances(xyz, xyz).topk(count + 1, largest=False).indices
+    return with_itself[..., 1:]
 
 
 def nearest(xyz: Tensor, others: Tensor) -> Tensor:

@@ -1,11 +1,7 @@
 """Random weights with which CASS and RBP-Pose answer with objects of a likely size where the depth
 is, so that the contract checks apply to them.
 
-``python tests/ports/plausible.py DIR`` writes a folder for ``--cpas-weights``; with it, golden/
-beside this file has the golden tables of
-
-    pytest --cpas-method cass --cpas-method rbppose --cpas-dataset synthetic-handheld \\
-        --cpas-weights=DIR --cpas-golden tests/ports/golden --cpas-require-golden
+``python tests/ports/plausible.py DIR`` writes a folder for ``--cpas-weights``.
 """
 
 import sys
@@ -51,7 +47,7 @@ def weights(name: str) -> dict[str, torch.Tensor]:
     with torch.inference_mode():
         shape = network(*cases.network_inputs(name)).shape[0]
     low, high = shape.amin(0), shape.amax(0)
-    middle, extents = ((low + high) / 2).round(decimals=3), (high - low).round(decimals=3)
+    middle, extents = ((low + high) / 2).round(decimals=6), (high - low).round(decimals=6)
     last = "foldingnet.reconstructing.Fold2.mlp.4"
     scale = 0.15 / extents
     state[f"{last}.weight"] *= scale[:, None]
