@@ -80,7 +80,8 @@ class Sdfest:
 
     ``sdfest/`` below the weights folder holds the files of the release v0.1.0, or an older set
     with configuration files; see :func:`configuration`. ``gradient`` and ``iterations`` may be
-    changed before loading.
+    changed. On a GPU, gradients are summed in another order from run to run, and answers differ by
+    rounding.
     """
 
     info = MethodInfo(
@@ -143,6 +144,7 @@ class Sdfest:
     def _hypothesis(
         self, category: str, views: Sequence[tuple[Observation, Pose]], seed: int
     ) -> Hypothesis:
+        from method_adapters._networks.running import full_precision
         from method_adapters._sdfest_estimation import first_estimate, refine
 
         if category not in self._models:
@@ -150,9 +152,11 @@ class Sdfest:
             raise NoAnswerError(f"category {category!r}: {self.info.name} knows {known}")
         model = self._models[category]
         taken = [self._view(seen, camera) for seen, camera in views]
-        first = first_estimate(model.init, model.grid, taken[0])
-        found = refine(model.vae, first, taken, self.iterations, self.gradient)
-        return interpret(found, reconstruct(model.vae, found), model.axes, seed)
+        with full_precision():
+            first = first_estimate(model.init, model.grid, taken[0])
+            found = refine(model.vae, first, taken, self.iterations, self.gradient)
+            mesh = reconstruct(model.vae, found)
+        return interpret(found, mesh, model.axes, seed)
 
     def _view(self, seen: Observation, camera: Pose) -> View:
         from torch import as_tensor

@@ -6,6 +6,7 @@ import pickle
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,14 @@ def device_named(name: str) -> torch.device:
     return device
 
 
+def full_precision() -> AbstractContextManager[None]:
+    """Convolutions on a GPU are of full precision, and by the same algorithm from run to run."""
+    flags: AbstractContextManager[None] = torch.backends.cudnn.flags(
+        enabled=True, benchmark=False, deterministic=True, allow_tf32=False
+    )
+    return flags
+
+
 class Runner:
     """A network in evaluation mode on a device; arrays in, arrays out."""
 
@@ -120,11 +129,6 @@ class Runner:
 
     def __call__(self, *inputs: NDArray[Any]) -> tuple[NDArray[np.float64], ...]:
         """The outputs for one batch of ``inputs``; always the same on one device."""
-        with (
-            torch.inference_mode(),
-            torch.backends.cudnn.flags(
-                enabled=True, benchmark=False, deterministic=True, allow_tf32=False
-            ),
-        ):
+        with torch.inference_mode(), full_precision():
             outputs = self._network(*(torch.from_numpy(x).to(self._device) for x in inputs))
             return tuple(output.double().cpu().numpy() for output in outputs)
