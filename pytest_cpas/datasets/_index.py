@@ -151,15 +151,16 @@ def read_index(
 ) -> Index:
     """The index of the tree at ``root``, from the cache if nothing has changed since.
 
-    ``sources``: the files whose code decides what ``scan`` finds. A cache that cannot be written
-    is done without.
+    ``sources``: the files whose code decides what ``scan`` finds, beside those of this package. A
+    cache that cannot be written is done without.
     """
-    recipe = hashlib.sha256(f"{name}\n{root.resolve()}\n".encode())
-    for source in sorted({__file__, *sources}):
-        recipe.update(Path(source).read_bytes())
-    key = recipe.hexdigest()[:24]
+    key = hashlib.sha256(os.fsencode(root.resolve())).hexdigest()[:24]
     file = cache_folder() / "index" / f"{name}-{key}.json"
-    kept = _read_kept(file, root)
+    code = hashlib.sha256()
+    for source in sorted({*map(str, Path(__file__).parent.glob("*.py")), *sources}):
+        code.update(Path(source).read_bytes())
+    recipe = code.hexdigest()
+    kept = _read_kept(file, root, recipe)
     if kept is not None:
         return kept
     began = time.time()
@@ -169,7 +170,7 @@ def read_index(
     latest = max((max(stamp[:2]) for stamp in seen.stamps.values() if stamp), default=0)
     if latest / 1e9 < began - SETTLED:
         with suppress(OSError):
-            _keep(file, index, seen.stamps)
+            _keep(file, index, seen.stamps, recipe)
     return index
 
 
@@ -181,9 +182,11 @@ def _stamp(root: Path, path: str) -> list[int] | None:
     return [status.st_mtime_ns, status.st_ctime_ns, status.st_size]
 
 
-def _read_kept(file: Path, root: Path) -> Index | None:
+def _read_kept(file: Path, root: Path, recipe: str) -> Index | None:
     try:
         kept = json.loads(file.read_bytes())
+        if kept.pop("recipe") != recipe:
+            return None
         stamps: Stamps = kept.pop("stamps")
         samples = [SampleRef(*values) for values in kept.pop("samples")]
         index = Index(samples=samples, **kept)
@@ -194,10 +197,10 @@ def _read_kept(file: Path, root: Path) -> Index | None:
     return None
 
 
-def _keep(file: Path, index: Index, stamps: Stamps) -> None:
+def _keep(file: Path, index: Index, stamps: Stamps, recipe: str) -> None:
     content = index._asdict()
     content["samples"] = [dataclasses.astuple(ref) for ref in index.samples]
-    text = json.dumps({**content, "stamps": stamps})
+    text = json.dumps({**content, "stamps": stamps, "recipe": recipe})
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as unfinished:
         try:

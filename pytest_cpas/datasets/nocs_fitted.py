@@ -51,7 +51,7 @@ _LEAST_PIXELS = 30
 _LARGEST_DEPTH = 32.0  # metres
 
 #: Correspondences that a pose is fitted to; more only cost time.
-_FITTED = 4096
+_FITTED = 2048
 
 
 class FittedTree(NocsTree):

@@ -109,6 +109,15 @@ def test_torn_index_is_made_again(tree, cache, torn) -> None:
     assert json.loads(file.read_bytes()) == json.loads(whole)
 
 
+def test_index_of_other_code_is_made_again(tree, cache) -> None:
+    first = listing(tree)
+    (file,) = (cache / "index").iterdir()
+    kept = json.loads(file.read_bytes())
+    file.write_text(json.dumps({**kept, "recipe": "of last year", "samples": []}))
+    assert listing(tree) == first
+    assert list((cache / "index").iterdir()) == [file]
+
+
 def test_tree_that_was_just_written_is_not_kept(tree, cache, monkeypatch) -> None:
     monkeypatch.setattr(_index, "SETTLED", 2.0)
     listing(tree)
