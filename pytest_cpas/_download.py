@@ -10,10 +10,11 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+from pytest_cpas._files import write_text
 
 #: Seconds to wait for a connection, and for the next bytes.
 TIMEOUT = (30, 60)
@@ -61,15 +62,6 @@ def sha256(path: Path) -> str:
     import pooch
 
     return str(pooch.file_hash(str(path), alg="sha256"))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file as a whole or not at all."""
-    with tempfile.NamedTemporaryFile(
-        "w", encoding="utf-8", dir=path.parent, prefix=f".{path.name}.", delete=False
-    ) as unfinished:
-        unfinished.write(text)
-    os.replace(unfinished.name, path)
 
 
 def announced_size(url: str) -> int | None:

@@ -24,6 +24,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         " --junitxml=FILE.",
     )
     merge.add_argument("files", nargs="+", metavar="FILE")
+    report = commands.add_parser(
+        "report",
+        help="write the report of stored results",
+        description="Judge the files of --cpas-results, of a run or of all its shards, as merge"
+        " does, and write report.json and report.md. Further options are pytest's.",
+    )
+    report.add_argument("files", nargs="+", metavar="FILE")
+    report.add_argument("--to", required=True, metavar="DIR", help="where to write the report")
     export = commands.add_parser(
         "export-bop",
         help="write stored results as the file that BOP's evaluation reads",
@@ -58,8 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if others:
             fetching.error(f"unknown arguments: {' '.join(others)}")
         return _fetch(known.name, known.to, known.yes)
-    if known.command == "merge":
-        return int(pytest.main([*(f"--cpas-merge={file}" for file in known.files), *others]))
+    if known.command in ("merge", "report"):
+        files = [f"--cpas-merge={file}" for file in known.files]
+        to = [f"--cpas-report={known.to}"] if known.command == "report" else []
+        return int(pytest.main([*files, *to, *others]))
     if others:
         parser.error(f"unrecognized arguments: {' '.join(others)}")
     if known.command == "new-adapter":

@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +74,12 @@ class Verdict:
     def failed(self) -> bool:
         """Whether it fails the run. (NOT CHECKED fails it under --cpas-require-golden only.)"""
         return self.word not in (*GOOD, Word.NOT_CHECKED)
+
+    def outcome(self, require_golden: bool) -> Literal["passed", "failed", "skipped"]:
+        """As what a test item would end; ``require_golden``: NOT CHECKED fails."""
+        if self.word is Word.NOT_CHECKED:
+            return "failed" if require_golden else "skipped"
+        return "failed" if self.failed else "passed"
 
     def __str__(self) -> str:
         subject = "" if self.category == "all" else f" {self.category}"

@@ -101,11 +101,16 @@ _FIELDS = {
 }
 
 
-def outcomes(rows: Sequence[Row]) -> list[str]:
-    """Per row one character for each of :data:`THRESHOLDS`: correct 1, not 0, n/a -."""
-    errors = Errors(
+def errors_of(rows: Sequence[Row]) -> Errors:
+    """The errors of rows by metric."""
+    return Errors(
         {metric: [getattr(row, field) for row in rows] for metric, field in _FIELDS.items()}
     )
+
+
+def outcomes(rows: Sequence[Row]) -> list[str]:
+    """Per row one character for each of :data:`THRESHOLDS`: correct 1, not 0, n/a -."""
+    errors = errors_of(rows)
     columns = []
     for threshold in THRESHOLDS:
         judged = errors.judge(threshold)

@@ -22,8 +22,8 @@ from pytest_cpas._download import (
     announced_size,
     download,
     sha256,
-    write_text,
 )
+from pytest_cpas._files import write_text
 from pytest_cpas._unpack import ArchiveError, unpack
 from pytest_cpas.sources import Source, SourceFile, published_sources
 from pytest_cpas.types import Asset, MethodInfo

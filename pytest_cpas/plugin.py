@@ -171,6 +171,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="with --cpas-check-dataset: draw where the objects' up axes point into DIR",
     )
     group.addoption(
+        "--cpas-report",
+        metavar="DIR",
+        help="write a report into DIR: report.json, report.md",
+    )
+    group.addoption(
         "--cpas-list",
         action="store_true",
         help="print what is registered, and which weights of the methods are there, and exit",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import bisect
 import csv
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -48,6 +49,26 @@ def published_cells(dataset: str, method: str) -> list[PublishedCell]:
     ]
 
 
+def published_methods(dataset: str) -> list[str]:
+    """The methods that the paper's table of a data set has; empty if it has none."""
+    return sorted({x["method"] for x in _read("precision.csv") if x["dataset"] == dataset})
+
+
+def published_curves(dataset: str, method: str) -> dict[str, list[tuple[float, Count]]]:
+    """The paper's counts against one threshold at a time.
+
+    Points by what the threshold is on (``position_m``, ``rotation_deg``, ``fscore_1cm``); empty if
+    the paper has none.
+    """
+    curves: dict[str, list[tuple[float, Count]]] = {}
+    for line in _read("curves.csv"):
+        if (line["dataset"], line["method"]) == (dataset, method):
+            count = Count(int(line["correct"]), int(line["total"]))
+            points = curves.setdefault(line["threshold_on"], [])
+            points.append((float(line["threshold"]), count))
+    return curves
+
+
 def published_sample_counts(dataset: str) -> dict[str, int]:
     """How many samples of each category a complete copy of a data set has; empty if unknown."""
     return {
@@ -81,6 +102,7 @@ def _threshold(line: Mapping[str, str]) -> JointThreshold:
     )
 
 
+@functools.cache
 def _read(name: str) -> list[dict[str, str]]:
     with (shipped_golden() / "published" / name).open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from pytest_cpas import registry
-from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
+from pytest_cpas._suite_session import SuiteSession, report_outcome
 from pytest_cpas.checks import CONTRACT, ContractResult
 from pytest_cpas.checks.contract_stage import ContractStage, StoredStage
 from pytest_cpas.comparison import GOOD, Verdict, Word, compare
@@ -28,6 +28,8 @@ from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
 from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
+from pytest_cpas.report.document import Document, document, run_document
+from pytest_cpas.report.files import write_report
 from pytest_cpas.report.robustness import print_curves
 from pytest_cpas.report.terminal import print_run
 from pytest_cpas.results import MergedRun, ResultsError, ResultsFile, Shard, merge
@@ -61,10 +63,10 @@ class CpasSession(SuiteSession):
         self.rows: dict[Run, dict[str, Row]] = {
             run: dict(self.files[run].rows) if run in self.files else {} for run in self.runs
         }
-        self.verdicts: dict[Run, list[Verdict]] = {}
         self.stages = _contract_stages(self.runs)
         self.contract: dict[Run, dict[str, ContractResult]] = {run: {} for run in self.runs}
-        self.findings: dict[Run, list[Finding]] = {}
+        self.errors: dict[Run, dict[str, str]] = {run: {} for run in self.runs}
+        self.documents: list[Document] = []
         self._broken = 0
 
     def stage(self, run: Run) -> ContractStage | None:
@@ -106,6 +108,7 @@ class CpasSession(SuiteSession):
             for values in content["rows"]
         ]
         self.rows[run] |= {row.sample: row for row in rows}
+        self.errors[run] |= dict(content["errors"])
         if file := self.files.get(run):
             try:
                 for row in rows:
@@ -147,12 +150,37 @@ class CpasSession(SuiteSession):
     def _judge_runs(self, session: pytest.Session) -> None:
         for run in self.runs:
             rows = self._ordered(run)
-            self.findings[run] = diagnose_run(run, rows, expected_precision(self.golden, run))
-            self.verdicts[run] = [
-                _explained(verdict, self.findings[run]) for verdict in self._verdicts(run, rows)
-            ]
-            for verdict in self.verdicts[run]:
+            findings = diagnose_run(run, rows, expected_precision(self.golden, run))
+            verdicts = [_explained(verdict, findings) for verdict in self._verdicts(run, rows)]
+            for verdict in verdicts:
                 self._emit(session, run, verdict)
+            self.documents.append(
+                run_document(
+                    run,
+                    rows,
+                    errors=self.errors[run],
+                    verdicts=verdicts,
+                    require_golden=self.config.option.cpas_require_golden,
+                    contract=self.contract[run].values(),
+                    findings=findings,
+                    golden=self._readable_golden(run),
+                )
+            )
+        if folder := self.config.option.cpas_report:
+            self._write_report(session, self.config.invocation_params.dir / folder)
+
+    def _readable_golden(self, run: Run) -> RunTable | None:
+        try:
+            return find_golden(self.golden, run.method, run.dataset)
+        except GoldenError:  # which is a verdict
+            return None
+
+    def _write_report(self, session: pytest.Session, folder: Path) -> None:
+        try:
+            write_report(document(self.documents, session.testsfailed), folder)
+        except OSError as error:
+            message = f"{folder}: the report cannot be written ({error})"
+            report_outcome(session, "cpas::report", "failed", message)
 
     def _ordered(self, run: Run) -> list[Row]:
         """The rows in the data set's order, however they arrived."""
@@ -183,14 +211,10 @@ class CpasSession(SuiteSession):
 
     def _emit(self, session: pytest.Session, run: Run, verdict: Verdict) -> None:
         """Report a verdict as if it were an item."""
-        outcome: Outcome = "passed"
+        outcome = verdict.outcome(self.config.option.cpas_require_golden)
         message = str(verdict)
-        if verdict.failed or (
-            verdict.word is Word.NOT_CHECKED and self.config.option.cpas_require_golden
-        ):
-            outcome = "failed"
-        elif verdict.word is Word.NOT_CHECKED:
-            outcome, message = "skipped", f"{run.method} on {run.dataset}: {verdict}"
+        if outcome == "skipped":
+            message = f"{run.method} on {run.dataset}: {verdict}"
         nodeid = f"cpas::golden[{run.method}-{run.dataset}-{verdict.category}]"
         report_outcome(session, nodeid, outcome, message)
 
@@ -198,17 +222,12 @@ class CpasSession(SuiteSession):
         """The tables and verdicts."""
         if not self.is_controller:
             return
-        rows = {run: self._ordered(run) for run in self.runs}
-        for run in self.runs:
-            verdicts = self.verdicts.get(run, [])
-            sound = not any(verdict.failed for verdict in verdicts)
-            if perturbation_of(run.dataset) and sound and self.config.get_verbosity() <= 0:
+        for run in self.documents:
+            sound = not any(verdict["outcome"] == "failed" for verdict in run["verdicts"])
+            if perturbation_of(run["dataset"]) and sound and self.config.get_verbosity() <= 0:
                 continue  # a point of the curves below
-            print_run(terminalreporter, run, rows[run], verdicts, self.contract[run].values())
-            for finding in self.findings.get(run, []):
-                for line in finding.lines():
-                    terminalreporter.write_line(line, yellow=True)
-        print_curves(terminalreporter, rows, self.verdicts)
+            print_run(terminalreporter, run)
+        print_curves(terminalreporter, self.documents)
         if self.update:
             known = {run.method for run in self.runs} | {
                 entry.name for entry in registry.registered("method")

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import pytest
 
-from pytest_cpas.comparison import Verdict
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run, tabulate
+from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.report.document import Document
 from pytest_cpas.report.terminal import print_table
 from pytest_cpas.robustness import PERTURBATIONS, SEVERITIES, UNPERTURBED, perturbation_of
 
 
-def print_curves(
-    terminal: pytest.TerminalReporter,
-    rows: Mapping[Run, Sequence[Row]],
-    verdicts: Mapping[Run, Sequence[Verdict]],
-) -> None:
+def print_curves(terminal: pytest.TerminalReporter, runs: Sequence[Document]) -> None:
     """One table per method and data set whose perturbations are among the runs."""
-    curves: dict[tuple[str, str], dict[tuple[str, int], Run]] = {}
-    for run in rows:
-        parts = perturbation_of(run.dataset)
+    curves: dict[tuple[str, str], dict[tuple[str, int], Document]] = {}
+    for run in runs:
+        parts = perturbation_of(run["dataset"])
         if parts is not None:
             base, name, severity = parts
-            curves.setdefault((run.method, base), {})[name, severity] = run
+            curves.setdefault((run["method"], base), {})[name, severity] = run
     for (method, base), points in curves.items():
         terminal.section(f"robustness of {method} on {base}", bold=True)
-        cells = {point: _cell(rows[run]) for point, run in points.items()}
+        cells = {point: _cell(run) for point, run in points.items()}
         severities = [f"severity {severity}" for severity in range(SEVERITIES + 1)]
         lines = [[f"correct at {THRESHOLDS[0].label}", *severities, "1, 2, 3 is"]]
         for name, perturbation in PERTURBATIONS.items():
@@ -37,13 +33,14 @@ def print_curves(
                 levels = ", ".join(f"{level:g}" for level in perturbation.levels)
                 lines.append([name, *at, f"{levels}: {perturbation.words}"])
         print_table(terminal, lines)
-        words = Counter(
-            verdict.word.value for run in points.values() for verdict in verdicts.get(run, ())
-        )
+        words = Counter(verdict["word"] for run in points.values() for verdict in run["verdicts"])
         told = ", ".join(f"{word} {count}" for word, count in words.items())
         terminal.write_line(f"golden, categories of all {len(points)} curve points: {told}")
 
 
-def _cell(rows: Sequence[Row]) -> str:
-    count = tabulate(rows)["all"][THRESHOLDS[0].label] if rows else None
-    return "-" if count is None else f"{count.correct}/{count.total}"
+def _cell(run: Document) -> str:
+    for cell in run["precision"]:
+        if (cell["category"], cell["threshold"]) == ("all", THRESHOLDS[0].label):
+            count = cell["measured"]
+            return f"{count['correct']}/{count['total']}" if count else "-"
+    return "-"

@@ -1,0 +1,262 @@
+"""What a session found, as one plain, versioned document: the only source of every renderer.
+
+A document is a dict of JSON values; ``schema.json`` beside this module describes it. It holds no
+time and no path, so that the same rows give the same document, wherever and in how many parts they
+were judged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pytest_cpas.checks import ContractResult, Outcome
+from pytest_cpas.comparison import Verdict
+from pytest_cpas.diagnosis import Finding
+from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, errors_of
+from pytest_cpas.golden import RunTable, TableSample, differences
+from pytest_cpas.metrics.precision import Count, curve
+from pytest_cpas.published import (
+    PublishedCell,
+    count_problems,
+    published_cells,
+    published_curves,
+    published_methods,
+)
+
+FORMAT = 1
+
+Document = dict[str, Any]
+
+#: The thresholds of the paper's curves: metric, and the limits (metres, degrees, F-score).
+CURVES: Mapping[str, Sequence[float]] = {
+    "position_m": [i / 200 for i in range(11)],
+    "rotation_deg": list(range(21)),
+    "fscore_1cm": [i / 20 for i in range(21)],
+}
+
+
+def document(runs: Sequence[Document], failed_items: int) -> Document:
+    """The document of a session: its runs, as of :func:`run_document`, failing ones first.
+
+    ``failed_items`` counts the test items that failed, whatever they tested. The published tables
+    of the runs' data sets stand beside.
+    """
+    outcome = "failed" if failed_items else worst(run["outcome"] for run in runs)
+    return {
+        "format": FORMAT,
+        "outcome": outcome,
+        "failed_items": failed_items,
+        "thresholds": [threshold.label for threshold in THRESHOLDS],
+        "runs": sorted(runs, key=lambda run: SEVERITY.index(run["outcome"])),
+        "published": {
+            name: _published(name)
+            for name in sorted({run["dataset"] for run in runs})
+            if published_methods(name)
+        },
+    }
+
+
+def run_document(
+    run: Run,
+    rows: Sequence[Row],
+    *,
+    errors: Mapping[str, str],
+    verdicts: Sequence[Verdict],
+    require_golden: bool,
+    contract: Iterable[ContractResult],
+    findings: Sequence[Finding],
+    golden: RunTable | None,
+) -> Document:
+    """The document of one run.
+
+    ``errors``: why samples have no row; ``golden``: the recorded table, shown beside the run's if
+    it was made under the same conditions.
+    """
+    new = RunTable.of(run, rows)
+    if golden is not None and differences(golden.identity, new.identity):
+        golden = None
+    old = golden.samples if golden else {}
+    problems = [
+        *run.damaged,
+        *count_problems(run.dataset, run.listed, partial=bool(run.missing)).values(),
+    ]
+    told_verdicts = [
+        {
+            "word": verdict.word.value,
+            "category": verdict.category,
+            "details": verdict.details,
+            "outcome": verdict.outcome(require_golden),
+        }
+        for verdict in verdicts
+    ]
+    told_contract = [_contract(result) for result in contract]
+    broken = problems or errors or any(r["status"] in ("violated", "gone") for r in told_contract)
+    return {
+        "method": run.method,
+        "dataset": run.dataset,
+        "outcome": "failed" if broken else worst(v["outcome"] for v in told_verdicts),
+        "judged": len(rows),
+        "listed": sum(run.listed.values()),
+        "unanswered": sum(row.failure is not None for row in rows),
+        "categories": _categories(run, new),
+        "seeds": run.seeds,
+        "missing": list(run.missing),
+        "problems": problems,
+        "verdicts": told_verdicts,
+        "findings": [
+            {"category": finding.category, "name": finding.name, "lines": finding.lines()}
+            for finding in findings
+        ],
+        "contract": told_contract,
+        "precision": _precision(
+            new.table,
+            golden.table if golden else {},
+            published_cells(run.dataset, run.method),
+        ),
+        "curves": _curves(rows),
+        "flips": [
+            flip
+            for name in sorted(old.keys() & new.samples.keys())
+            if (flip := _flip(name, old[name], new.samples[name]))
+        ],
+        "samples": _samples(run, new, old, errors),
+        "identity": dict(run.identity),
+        "provenance": dict(run.provenance),
+    }
+
+
+#: Outcomes, the worst first. "skipped": a verdict could not be given, and none was required.
+SEVERITY = ("failed", "skipped", "passed")
+
+
+def worst(outcomes: Iterable[str]) -> str:
+    """The worst of some outcomes; of none, "skipped"."""
+    return min(outcomes, key=SEVERITY.index, default="skipped")
+
+
+def _contract(result: ContractResult) -> Document:
+    if result.outcome is Outcome.NOT_OFFERED:
+        status = "n/a"
+    elif result.known:
+        status = "known" if result.violated else "gone"
+    elif result.wrong:
+        status = "violated"
+    else:
+        status = "information" if result.violated else "passed"
+    return {"check": result.check, "status": status, "message": result.message}
+
+
+def _categories(run: Run, new: RunTable) -> Document:
+    judged = Counter(sample.category for sample in new.samples.values())
+    return {
+        name: {"judged": judged[name], "listed": count}
+        for name, count in sorted(run.listed.items())
+    }
+
+
+def _precision(table: Table, golden: Table, published: Sequence[PublishedCell]) -> list[Document]:
+    """One entry per category (and "all") and joint threshold; what is n/a is None."""
+    paper = {(cell.category, cell.label): cell for cell in published}
+    return [
+        {
+            "category": category,
+            "threshold": threshold.label,
+            "measured": _count(table.get(category, {}).get(threshold.label)),
+            "golden": _count(golden.get(category, {}).get(threshold.label)),
+            "published": _published_count(paper.get((category, threshold.label))),
+        }
+        for category in (*sorted({*table, *golden} - {"all"}), *(["all"] if table else []))
+        for threshold in THRESHOLDS
+    ]
+
+
+def _count(count: Count | None) -> Document | None:
+    return None if count is None else {"correct": count.correct, "total": count.total}
+
+
+def _published_count(cell: PublishedCell | None) -> Document | None:
+    if cell is None:
+        return None
+    return {"lowest": cell.low, "highest": cell.high, "total": cell.total}
+
+
+def _curves(rows: Sequence[Row]) -> Document:
+    """Per metric the counts at :data:`CURVES`; None where the metric is n/a."""
+    errors = errors_of(rows)
+    told: Document = {}
+    for name, limits in CURVES.items():
+        counts = curve(errors, name.removesuffix("_1cm"), limits) if rows else None
+        told[name] = counts and _points(limits, counts)
+    return told
+
+
+def _points(limits: Sequence[float], counts: Sequence[Count]) -> list[Document]:
+    return [
+        {"threshold": limit, "correct": count.correct, "total": count.total}
+        for limit, count in zip(limits, counts, strict=True)
+    ]
+
+
+def _published(dataset: str) -> Document:
+    return {
+        method: {
+            "precision": [
+                {
+                    "category": cell.category,
+                    "threshold": cell.label,
+                    "published": _published_count(cell),
+                }
+                for cell in published_cells(dataset, method)
+            ],
+            "curves": {
+                name: _points([limit for limit, _ in points], [count for _, count in points])
+                for name, points in published_curves(dataset, method).items()
+            },
+        }
+        for method in published_methods(dataset)
+    }
+
+
+def _flip(name: str, old: TableSample, new: TableSample) -> Document | None:
+    """At which thresholds a sample is judged otherwise than by the golden table."""
+    told: dict[str, list[str]] = {"lost": [], "gained": [], "changed": []}
+    for threshold, before, after in zip(THRESHOLDS, old.outcome, new.outcome, strict=True):
+        if before != after:
+            kind = {"10": "lost", "01": "gained"}.get(before + after, "changed")
+            told[kind].append(threshold.label)
+    if old.outcome == new.outcome:
+        return None
+    errors = {"before": old.describe(), "after": new.describe()}
+    return {"sample": name, "category": new.category, **told, **errors}
+
+
+def _samples(
+    run: Run, new: RunTable, old: Mapping[str, TableSample], errors: Mapping[str, str]
+) -> list[Document]:
+    """The samples that have a row or an error, by name."""
+    category = {ref.id: ref.category for ref in run.samples}
+    told = []
+    for name in sorted({*new.samples, *errors}):
+        judged = new.samples.get(name)
+        values = judged.errors if judged else (None,) * 4
+        position, rotation, iou, fscore = (
+            None if value is None or not math.isfinite(value) else value for value in values
+        )
+        told.append(
+            {
+                "sample": name,
+                "category": judged.category if judged else category[name],
+                "outcome": judged.outcome if judged else None,
+                "golden": old[name].outcome if name in old else None,
+                "position_m": position,
+                "rotation_deg": rotation,
+                "iou": iou,
+                "fscore_1cm": fscore,
+                "failure": judged.failure or None if judged else None,
+                "error": None if judged else errors[name],
+            }
+        )
+    return told

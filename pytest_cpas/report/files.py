@@ -1,0 +1,18 @@
+"""The files of a report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pytest_cpas._files import write_text
+from pytest_cpas.report.document import Document
+from pytest_cpas.report.markdown import markdown
+
+
+def write_report(document: Document, folder: Path) -> None:
+    """Write ``report.json`` and ``report.md``, each as a whole or not at all; OSError if a disk
+    does not take it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "report.md", markdown(document))

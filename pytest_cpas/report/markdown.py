@@ -1,0 +1,164 @@
+"""A document as Markdown that fits the page of a CI job: what fails stands first."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+from pytest_cpas.report.document import Document
+from pytest_cpas.report.tables import Cell, category_lines, percent, precision_tables
+from pytest_cpas.report.words import (
+    contract_words,
+    golden_words,
+    judged_words,
+    outcome_words,
+    verdict_words,
+)
+
+#: Lines of one kind before the rest is only counted: a job page takes 1 MiB.
+_SHOWN = 25
+
+_MARKS = ("", " ¹", " ²", " ³")
+
+
+def markdown(document: Document) -> str:
+    """The text of ``report.md``."""
+    return "\n".join(_lines(document)) + "\n"
+
+
+def _lines(document: Document) -> Iterator[str]:
+    yield f"# pytest-cpas: {outcome_words(document['outcome'])}"
+    yield ""
+    yield from _table(
+        ["run", "verdict", "samples", "golden"],
+        [
+            [
+                _escape(f"{run['method']} on {run['dataset']}"),
+                f"**{outcome_words(run['outcome'])}**",
+                judged_words(run),
+                _escape(golden_words(run)),
+            ]
+            for run in document["runs"]
+        ],
+    )
+    for run in document["runs"]:
+        yield from _told(run)
+    for dataset, lines in precision_tables(document):
+        yield f"## {_escape(dataset)}"
+        yield ""
+        names = [_escape(line.method) + (" (paper)" if line.paper else "") for line in lines]
+        yield from _table(
+            ["correct", *document["thresholds"]],
+            [[name, *map(_cell, line.cells)] for name, line in zip(names, lines, strict=True)],
+        )
+    for run in document["runs"]:
+        yield from _categories(run, document["thresholds"])
+
+
+def _told(run: Document) -> Iterator[str]:
+    """What is wrong with a run, and what was missing; nothing for a run without either."""
+    told: list[tuple[str, Sequence[str]]] = [
+        ("Problems of the data set", run["problems"]),
+        ("Missing", run["missing"]),
+        (
+            "Contract of the method",
+            [
+                f"{result['check']} ({result['status']}): {result['message']}"
+                for result in run["contract"]
+                if result["status"] in ("violated", "gone")
+            ],
+        ),
+        ("What explains it", [line for entry in run["findings"] for line in entry["lines"]]),
+        ("Verdicts", [verdict_words(v) for v in run["verdicts"] if v["outcome"] != "passed"]),
+        (
+            "Samples that could not be judged",
+            [f"{s['sample']}: {s['error']}" for s in run["samples"] if s["error"] is not None],
+        ),
+    ]
+    told = [(title, lines) for title, lines in told if lines]
+    if not told and not run["flips"]:
+        return
+    yield f"## {_escape(run['method'])} on {_escape(run['dataset'])}"
+    yield ""
+    for title, lines in told:
+        yield f"**{title}**"
+        yield ""
+        yield from _fenced(lines)
+    if run["flips"]:
+        yield "**Judged otherwise than by the golden table**"
+        yield ""
+        yield from _table(
+            ["sample", "lost at", "gained at", "n/a changed at", "before", "now"],
+            [
+                [
+                    _escape(flip["sample"]),
+                    *("; ".join(flip[kind]) for kind in ("lost", "gained", "changed")),
+                    _escape(flip["before"]),
+                    _escape(flip["after"]),
+                ]
+                for flip in run["flips"][:_SHOWN]
+            ],
+        )
+        yield from _rest(len(run["flips"]))
+
+
+def _categories(run: Document, thresholds: Sequence[str]) -> Iterator[str]:
+    yield f"<details><summary>{_escape(run['method'])} on {_escape(run['dataset'])}"
+    yield "per category, with golden and published precision</summary>"
+    yield ""
+    lines = []
+    for category, entries in category_lines(run):
+        cells = []
+        for entry in entries:
+            count = entry["measured"]
+            told = f"{count['correct']}/{count['total']} {percent(count)}" if count else "n/a"
+            for kind in ("golden", "published"):
+                if entry[kind]:
+                    told += f"<br>{kind} {percent(entry[kind])}"
+            cells.append(told)
+        lines.append([_escape(category), *cells])
+    yield from _table(["correct", *thresholds], lines)
+    if words := contract_words(run["contract"]):
+        yield _escape(words)
+        yield ""
+    yield "</details>"
+    yield ""
+
+
+def _cell(cell: Cell | None) -> str:
+    if cell is None:
+        return "n/a"
+    text = f"{cell.correct}/{cell.total} {cell.percent}{_MARKS[cell.rank]}"
+    return f"**{text}**" if cell.rank == 1 else text
+
+
+def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> Iterator[str]:
+    yield f"| {' | '.join(head)} |"
+    yield f"|---|{'---:|' * (len(head) - 1)}"
+    for line in lines:
+        yield f"| {' | '.join(line)} |"
+    yield ""
+
+
+def _fenced(lines: Sequence[str]) -> Iterator[str]:
+    """Text from data, verbatim: a fence longer than any in it."""
+    shown = [line for text in lines for line in text.splitlines()][:_SHOWN]
+    longest = max((len(run) for line in shown for run in re.findall("`+", line)), default=0)
+    fence = "`" * max(3, longest + 1)
+    yield fence + "text"
+    yield from shown
+    yield fence
+    yield ""
+    yield from _rest(sum(len(text.splitlines()) for text in lines))
+
+
+def _rest(count: int) -> Iterator[str]:
+    if count > _SHOWN:
+        yield f"and {count - _SHOWN} more (report.json has all)"
+        yield ""
+
+
+def _escape(text: str) -> str:
+    """Text from data so that Markdown and the HTML in it leave it as it is."""
+    text = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([\\`*_\[\]#!|~])", r"\\\1", text)

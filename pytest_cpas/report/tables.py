@@ -1,0 +1,98 @@
+"""The precision table in the paper's form: one line per method, one column per joint threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from pytest_cpas.report.document import Document
+
+
+@dataclass(frozen=True)
+class Cell:
+    """``correct`` of ``total`` samples; ``rank`` 1 to 3 marks the best of a column, else 0."""
+
+    correct: int
+    total: int
+    rank: int = 0
+
+    @property
+    def percent(self) -> str:
+        """The precision for people."""
+        return f"{100 * self.correct / self.total:.1f} %"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A method's cells, None where n/a; ``paper``: as printed there, not measured."""
+
+    method: str
+    paper: bool
+    cells: Sequence[Cell | None]
+
+
+def precision_tables(document: Document) -> Iterator[tuple[str, list[Line]]]:
+    """Per data set the table over all categories: the measured methods, then the paper's.
+
+    The best three of a column are marked among those that were judged on as many samples as any;
+    a single method is not marked.
+    """
+    for dataset in dict.fromkeys(run["dataset"] for run in document["runs"]):
+        lines = [
+            (run["method"], False, _overall(run["precision"], "measured", document))
+            for run in document["runs"]
+            if run["dataset"] == dataset
+        ]
+        lines += [
+            (method, True, _overall(entry["precision"], "published", document))
+            for method, entry in document["published"].get(dataset, {}).items()
+        ]
+        columns = [_ranked(column) for column in zip(*(cells for *_, cells in lines), strict=True)]
+        yield (
+            dataset,
+            [
+                Line(method, paper, cells)
+                for (method, paper, _), cells in zip(lines, zip(*columns, strict=True), strict=True)
+            ],
+        )
+
+
+def category_lines(run: Document) -> Iterator[tuple[str, list[Document]]]:
+    """The precision of a run per category: its entries in the order of the thresholds."""
+    for category in dict.fromkeys(entry["category"] for entry in run["precision"]):
+        yield category, [entry for entry in run["precision"] if entry["category"] == category]
+
+
+def percent(count: Document) -> str:
+    """The precision of a measured, golden or published count for people."""
+    return _cell(count).percent
+
+
+def _overall(entries: Sequence[Document], kind: str, document: Document) -> list[Cell | None]:
+    counts = {
+        entry["threshold"]: entry[kind]
+        for entry in entries
+        if entry["category"] == "all" and entry[kind] is not None
+    }
+    return [
+        _cell(counts[threshold]) if threshold in counts else None
+        for threshold in document["thresholds"]
+    ]
+
+
+def _cell(count: Document) -> Cell:
+    # the paper's print leaves two counts open at most, which are the same for people
+    return Cell(count["correct"] if "correct" in count else count["lowest"], count["total"])
+
+
+def _ranked(column: Sequence[Cell | None]) -> list[Cell | None]:
+    full = max((cell.total for cell in column if cell), default=0)
+    values = sorted((cell.correct for cell in column if cell and cell.total == full), reverse=True)
+    if len(values) < 2:
+        return list(column)
+    return [
+        replace(cell, rank=place)
+        if cell and cell.total == full and (place := 1 + values.index(cell.correct)) <= 3
+        else cell
+        for cell in column
+    ]

@@ -1,0 +1,271 @@
+"""The report of a run: its numbers against the rows, its schema, its renderings."""
+
+import copy
+import json
+import math
+import re
+from pathlib import Path
+
+import jsonschema
+import pytest
+from harness import RUN
+from tables import GOLDEN, a_run, rows
+
+import pytest_cpas.report
+from pytest_cpas.cli import main
+from pytest_cpas.comparison import Verdict, Word, compare
+from pytest_cpas.evaluation import Row
+from pytest_cpas.golden import RunTable
+from pytest_cpas.report.document import document, run_document
+from pytest_cpas.report.markdown import markdown
+from pytest_cpas.report.tables import precision_tables
+from pytest_cpas.results import read_results
+
+SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
+
+#: The thresholds again: degrees, metres, F-score.
+LIMITS = {
+    "10 deg, 2 cm": (10, 0.02, None),
+    "10 deg, 2 cm, F 0.6": (10, 0.02, 0.6),
+    "5 deg, 1 cm": (5, 0.01, None),
+    "5 deg, 1 cm, F 0.8": (5, 0.01, 0.8),
+}
+
+
+def meets(row: Row, degrees: float, metres: float, fscore: float | None) -> bool:
+    pose = row.rotation_error <= degrees and row.translation_error <= metres
+    return pose and (fscore is None or row.fscore_1cm >= fscore)
+
+
+def problems(content: dict, judged: list[Row]) -> list[str]:
+    """Where the numbers of a document's only run are not those of the rows."""
+    (run,) = content["runs"]
+    told = []
+    if run["judged"] != len(judged):
+        told.append("judged")
+    for cell in run["precision"]:
+        group = [row for row in judged if cell["category"] in ("all", row.category)]
+        correct = sum(meets(row, *LIMITS[cell["threshold"]]) for row in group)
+        if cell["measured"] != {"correct": correct, "total": len(group)}:
+            told.append(f"{cell['category']} {cell['threshold']}")
+    if len(run["precision"]) != 4 * (1 + len({row.category for row in judged})):
+        told.append("cells")
+    for name, points in run["curves"].items():
+        for point in points:
+            limit = point["threshold"]
+            correct = sum(
+                {
+                    "position_m": row.translation_error <= limit,
+                    "rotation_deg": row.rotation_error <= limit,
+                    "fscore_1cm": row.fscore_1cm >= limit,
+                }[name]
+                for row in judged
+            )
+            if (point["correct"], point["total"]) != (correct, len(judged)):
+                told.append(f"{name} {limit}")
+    by_name = {row.sample: row for row in judged}
+    for sample in run["samples"]:
+        row = by_name.pop(sample["sample"])
+        outcome = "".join(str(int(meets(row, *limits))) for limits in LIMITS.values())
+        if sample["outcome"] != outcome:
+            told.append(sample["sample"])
+    return [*told, *by_name]
+
+
+@pytest.fixture
+def report(recorded, pytester):
+    """The report of a method, as (JSON, Markdown), and what pytest said."""
+
+    def run(method: str, *args: str, dataset: str = "Tiny"):
+        result = recorded(method, "--cpas-report=out", *args, dataset=dataset)
+        folder = pytester.path / "out"
+        content = json.loads((folder / "report.json").read_text())
+        jsonschema.validate(content, SCHEMA)
+        assert sorted(path.name for path in folder.iterdir()) == ["report.json", "report.md"]
+        return content, (folder / "report.md").read_text(), result
+
+    return run
+
+
+@pytest.mark.parametrize("method", ["Perfect", "Biased", "Refuses"])
+def test_numbers_are_those_of_the_rows(report, pytester, method):
+    content, text, result = report(method, "--cpas-results=rows")
+    (path,) = (pytester.path / "rows").iterdir()
+    judged = list(read_results(path).rows.values())
+    assert problems(content, judged) == []
+    # what the terminal and the page print are the same numbers
+    for cell in content["runs"][0]["precision"]:
+        count = cell["measured"]
+        told = f"{count['correct']}/{count['total']}"
+        share = f"{100 * count['correct'] / count['total']:.1f} %"
+        assert re.search(rf"^{cell['category']} .*{told} +{share}", result.stdout.str(), re.M)
+        assert f"{told} {share}" in text
+    assert (content["outcome"] == "failed") == (result.ret == 1)
+
+
+def test_planted_wrong_numbers_are_seen(report, pytester):
+    content, *_ = report("Biased", "--cpas-results=rows")
+    (path,) = (pytester.path / "rows").iterdir()
+    judged = list(read_results(path).rows.values())
+    for index, cell in enumerate(content["runs"][0]["precision"]):
+        spoiled = copy.deepcopy(content)
+        spoiled["runs"][0]["precision"][index]["measured"]["correct"] -= 1
+        assert problems(spoiled, judged) == [f"{cell['category']} {cell['threshold']}"]
+    for name, points in content["runs"][0]["curves"].items():
+        for index, point in enumerate(points):
+            spoiled = copy.deepcopy(content)
+            spoiled["runs"][0]["curves"][name][index]["correct"] += 1
+            assert problems(spoiled, judged) == [f"{name} {point['threshold']}"]
+
+
+def test_regression_names_flips_and_fails_first(report):
+    content, text, result = report("Biased")
+    assert result.ret == 1
+    (run,) = content["runs"]
+    assert content["outcome"] == run["outcome"] == "failed"
+    assert [(v["word"], v["category"]) for v in run["verdicts"]] == [
+        ("MATCHES", "bowl"),
+        ("REGRESSED", "mug"),
+    ]
+    mugs = [s["sample"] for s in run["samples"] if s["category"] == "mug"]
+    assert [flip["sample"] for flip in run["flips"]] == mugs
+    assert all("5 deg, 1 cm" in flip["lost"] and not flip["gained"] for flip in run["flips"])
+    lines = text.splitlines()
+    assert lines[0] == "# pytest-cpas: FAILED"
+    assert "| perfect on tiny | **FAILED** | 12 of 12 samples judged |" in lines[4]
+    assert text.index("REGRESSED mug") < text.index("## tiny")
+    assert all(f"| {sample.replace('_', chr(92) + '_')} |" in text for sample in mugs)
+
+
+def test_several_methods_are_ranked_and_failing_ones_first(recorded, pytester):
+    args = ("--cpas-method=tiny:OnlyPose", "--cpas-method=tiny:Refuses", "--cpas-report=out")
+    recorded("Perfect", *args[:1], "--cpas-report=out")
+    content = json.loads((pytester.path / "out" / "report.json").read_text())
+    jsonschema.validate(content, SCHEMA)
+    assert [run["outcome"] for run in content["runs"]] == ["skipped", "passed"]
+    ((name, lines),) = precision_tables(content)
+    assert name == "tiny"
+    assert [line.method for line in lines] == ["only-pose", "perfect"]
+    # a tie, and a column that only one method has
+    assert [[cell and cell.rank for cell in line.cells] for line in lines] == [
+        [1, None, 1, None],
+        [1, 0, 1, 0],
+    ]
+
+
+def a_document(judged: list[Row], golden: RunTable | None = None, **more) -> dict:
+    run = a_run()
+    given = {
+        "errors": {},
+        "verdicts": compare(golden, RunTable.of(run, judged)),
+        "require_golden": False,
+        "contract": [],
+        "findings": [],
+        "golden": golden,
+    }
+    content = document([run_document(run, judged, **given | more)], 0)
+    jsonschema.validate(content, SCHEMA)
+    return content
+
+
+def test_flips_are_grouped_by_kind():
+    (run,) = a_document(rows(s_03=7.0, s_04=30.0), GOLDEN)["runs"]
+    five, ten = ["5 deg, 1 cm", "5 deg, 1 cm, F 0.8"], ["10 deg, 2 cm", "10 deg, 2 cm, F 0.6"]
+    assert [(flip["sample"], flip["lost"]) for flip in run["flips"]] == [
+        ("s/03", five),
+        ("s/04", ten + five),
+    ]
+    assert run["flips"][0]["before"] == "0.5 cm, 4 deg, F 0.95"
+    assert run["flips"][0]["after"] == "0.5 cm, 7 deg, F 0.95"
+
+
+def test_golden_table_of_other_conditions_is_not_compared():
+    other = RunTable.of(a_run(data="y"), rows())
+    (run,) = a_document(rows(s_03=7.0), other)["runs"]
+    assert run["verdicts"][0]["word"] == "STALE"
+    assert run["flips"] == []
+    assert {cell["golden"] for cell in run["precision"]} == {None}
+
+
+def test_no_answer_and_no_row():
+    judged = rows()[1:]
+    judged[0] = Row("s/01", "mug", math.inf, math.inf, -math.inf, None, failure="no luck")
+    (run,) = a_document(judged, errors={"s/00": "torn"})["runs"]
+    assert (run["outcome"], run["judged"], run["listed"], run["unanswered"]) == ("failed", 9, 10, 1)
+    assert run["categories"]["can"] == {"judged": 4, "listed": 5}
+    torn, failed = run["samples"][:2]
+    assert (torn["outcome"], torn["error"], torn["failure"]) == (None, "torn", None)
+    assert (failed["outcome"], failed["error"], failed["failure"]) == ("0-0-", None, "no luck")
+    assert failed["position_m"] is failed["iou"] is failed["fscore_1cm"] is None
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda content: content.pop("runs"),
+        lambda content: content.update(format=2),
+        lambda content: content.update(outcome="good"),
+        lambda content: content.update(more=1),
+        lambda content: content["runs"][0].pop("listed"),
+        lambda content: content["runs"][0].update(judged=-1),
+        lambda content: content["runs"][0]["precision"][0]["measured"].update(total=0),
+        lambda content: content["runs"][0]["precision"][0]["measured"].update(correct=1.5),
+        lambda content: content["runs"][0]["samples"][0].update(outcome="12"),
+        lambda content: content["runs"][0]["samples"][0].update(iou=1.5),
+        lambda content: content["runs"][0]["curves"].pop("position_m"),
+    ],
+)
+def test_schema_rejects_a_spoiled_document(spoil):
+    content = a_document(rows(), GOLDEN)
+    spoil(content)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(content, SCHEMA)
+
+
+HOSTILE = "<script>alert(1)</script>|`*_[x](y)\n```\n# h"
+
+
+def test_markdown_of_hostile_text():
+    judged = [Row(HOSTILE, "can", 0.5, 40.0, 0.9, 0.95), *rows()[1:]]
+    golden = RunTable.of(a_run(), [Row(HOSTILE, "can", 0.001, 4.0, 0.9, 0.95), *rows()[1:]])
+    verdicts = [Verdict(Word.REGRESSED, "can", HOSTILE)]
+    text = markdown(a_document(judged, golden, verdicts=verdicts))
+    outside = re.sub(r"(?ms)^(`{3,})text\n.*?^\1$", "", text)
+    assert "<script" not in outside
+    assert "\n# h" not in outside
+    (flip,) = (line for line in outside.splitlines() if "alert" in line)
+    assert len(re.findall(r"(?<!\\)\|", flip)) == 7  # six columns
+
+
+def strip(content: dict) -> dict:
+    """Without what differs by nature: only a method that is there can be diagnosed, and every
+    shard checks the contract on samples of its own."""
+    for run in content["runs"]:
+        for result in run["contract"]:
+            result["message"] = ""
+        run["findings"] = []
+        for verdict in run["verdicts"]:
+            verdict["details"] = verdict["details"].split("\n")[0]
+    return content
+
+
+@pytest.mark.parametrize("method", ["Perfect", "Biased", "Refuses", "Raises"])
+def test_stored_results_give_the_report_of_the_run(report, recorded, pytester, monkeypatch, method):
+    whole, _, result = report(method)
+    for index in (1, 2):
+        recorded(method, f"--cpas-shard={index}/2", "--cpas-results=rows")
+    files = sorted(map(str, (pytester.path / "rows").iterdir()))
+    monkeypatch.chdir(pytester.path)
+    code = main(["report", *files, "--to", "again", *RUN])
+    assert code == result.ret
+    merged = json.loads((pytester.path / "again" / "report.json").read_text())
+    (old,), (new,) = strip(whole).pop("runs"), strip(merged).pop("runs")
+    assert merged == whole
+    assert {key: new[key] for key in new if new[key] != old[key]} == {}
+
+
+def test_report_that_cannot_be_written_fails_the_run(recorded, pytester):
+    (pytester.path / "out").write_text("a file")
+    result = recorded("Perfect", "--cpas-report=out")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*out: the report cannot be written*"])
