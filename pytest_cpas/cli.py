@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "report",
         help="write the report of stored results",
         description="Judge the files of --cpas-results, of a run or of all its shards, as merge"
-        " does, and write report.json and report.md. Further options are pytest's.",
+        " does, and write report.html, report.md and report.json. Further options are pytest's.",
     )
     report.add_argument("files", nargs="+", metavar="FILE")
     report.add_argument("--to", required=True, metavar="DIR", help="where to write the report")

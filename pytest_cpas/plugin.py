@@ -173,7 +173,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-report",
         metavar="DIR",
-        help="write a report into DIR: report.json, report.md",
+        help="write a report into DIR: report.html, report.md, report.json",
     )
     group.addoption(
         "--cpas-list",

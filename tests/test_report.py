@@ -1,23 +1,29 @@
 """The report of a run: its numbers against the rows, its schema, its renderings."""
 
+import base64
 import copy
+import csv
+import hashlib
 import json
 import math
 import re
+from html.parser import HTMLParser
 from pathlib import Path
 
 import jsonschema
 import pytest
 from harness import RUN
-from tables import GOLDEN, a_run, rows
+from tables import GOLDEN, REFS, Fixed, a_run, rows
 
 import pytest_cpas.report
 from pytest_cpas.cli import main
 from pytest_cpas.comparison import Verdict, Word, compare
 from pytest_cpas.evaluation import Row
-from pytest_cpas.golden import RunTable
+from pytest_cpas.golden import RunTable, shipped_golden
+from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.markdown import markdown
+from pytest_cpas.report.page import page
 from pytest_cpas.report.tables import precision_tables
 from pytest_cpas.results import read_results
 
@@ -81,7 +87,11 @@ def report(recorded, pytester):
         folder = pytester.path / "out"
         content = json.loads((folder / "report.json").read_text())
         jsonschema.validate(content, SCHEMA)
-        assert sorted(path.name for path in folder.iterdir()) == ["report.json", "report.md"]
+        assert sorted(path.name for path in folder.iterdir()) == [
+            "report.html",
+            "report.json",
+            "report.md",
+        ]
         return content, (folder / "report.md").read_text(), result
 
     return run
@@ -234,7 +244,7 @@ def test_markdown_of_hostile_text():
     assert "<script" not in outside
     assert "\n# h" not in outside
     (flip,) = (line for line in outside.splitlines() if "alert" in line)
-    assert len(re.findall(r"(?<!\\)\|", flip)) == 7  # six columns
+    assert len(re.findall(r"(?<!\\)\|", flip)) == 5  # four columns
 
 
 def strip(content: dict) -> dict:
@@ -269,3 +279,134 @@ def test_report_that_cannot_be_written_fails_the_run(recorded, pytester):
     result = recorded("Perfect", "--cpas-report=out")
     assert result.ret == 1
     result.stdout.fnmatch_lines(["*out: the report cannot be written*"])
+
+
+class Page(HTMLParser):
+    """Elements of a page by tag, with the text that stands in them."""
+
+    VOID = ("meta", "input", "br")
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict]] = []
+        self.text: dict[str, str] = {}
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text[self.open[-1] if self.open else ""] = (
+            self.text.get(self.open[-1] if self.open else "", "") + data
+        )
+
+
+def listed_samples(text: str) -> dict:
+    """What the page's script lists."""
+    (data,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)
+    return json.loads(data)
+
+
+def test_page_holds_the_numbers_of_the_document():
+    content = a_document(rows(s_03=7.0, s_04=30.0), GOLDEN)
+    text = page(content)
+    told = Page(text).text
+    for cell in content["runs"][0]["precision"]:
+        count = cell["measured"]
+        share = f"{100 * count['correct'] / count['total']:.1f} %"
+        assert f"{count['correct']}/{count['total']} {share}" in told["td"]
+    (run,) = listed_samples(text)["runs"]
+    samples = content["runs"][0]["samples"]
+    assert [line[0] for line in run["samples"]] == [s["sample"] for s in samples]
+    assert [run["categories"][line[1]] for line in run["samples"]] == [
+        s["category"] for s in samples
+    ]
+    assert [line[2:8] for line in run["samples"]] == [
+        [s[key] for key in ("outcome", "golden", "position_m", "rotation_deg", "iou", "fscore_1cm")]
+        for s in samples
+    ]
+
+
+def test_page_of_hostile_text():
+    """Neither in the page nor in the data of its script does text become markup."""
+    hostile = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&amp;"
+    bad = [Row(hostile, "can", 0.5, 40.0, 0.9, 0.95), *rows()[1:]]
+    golden = RunTable.of(a_run(), [Row(hostile, "can", 0.001, 4.0, 0.9, 0.95), *rows()[1:]])
+    content = a_document(
+        bad, golden, verdicts=[Verdict(Word.REGRESSED, "can", hostile)], errors={"s/00": hostile}
+    )
+    content["runs"][0]["method"] = hostile
+    content["runs"][0]["samples"][1]["category"] = hostile
+    text = page(content)
+    parsed = Page(text)
+    tags = [tag for tag, _ in parsed.found]
+    assert tags.count("script") == 2
+    assert "img" not in tags
+    assert not [name for _, attributes in parsed.found for name in attributes if name[:2] == "on"]
+    for tag in ("td", "pre", "a", "summary"):
+        assert hostile in parsed.text[tag], tag
+    (run,) = listed_samples(text)["runs"]
+    assert run["name"] == f"{hostile} on d"
+    assert hostile in {line[0] for line in run["samples"]}
+
+
+def test_page_loads_nothing_and_admits_its_script_only():
+    text = page(a_document(rows(), GOLDEN))
+    parsed = Page(text)
+    assert not re.search(r"https?://|url\(|@import", text)
+    for tag, attributes in parsed.found:
+        assert tag not in ("link", "iframe", "img", "object")
+        assert "src" not in attributes
+        assert attributes.get("href", "#").startswith("#")
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.S)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'" in text
+
+
+def test_published_curves_stand_beside_the_measured_ones():
+    """Every point of the chart is where the published count says."""
+    run = Fixed("spd", "real275", REFS, identity={})
+    found = run_document(
+        run,
+        rows(),
+        errors={},
+        verdicts=[],
+        require_golden=False,
+        contract=[],
+        findings=[],
+        golden=None,
+    )
+    content = document([found], 0)
+    jsonschema.validate(content, SCHEMA)
+    lines = curve_lines(content, "real275")
+    assert [line.paper for line in lines] == [True] * 9 + [False]
+    assert lines[-1].colour == next(x.colour for x in lines if x.method == "spd" and x.paper)
+    figure = list(charts(lines))[1]
+    drawn = {
+        polyline.findtext("title"): [
+            tuple(map(float, point.split(","))) for point in polyline.get("points").split()
+        ]
+        for polyline in figure.iter("polyline")
+    }
+    with (shipped_golden() / "published" / "curves.csv").open() as file:
+        published = [
+            (int(x["threshold"]), int(x["correct"]) / int(x["total"]))
+            for x in csv.DictReader(file)
+            if (x["dataset"], x["method"], x["threshold_on"]) == ("real275", "spd", "rotation_deg")
+        ]
+    ys = sorted({float(line.get("y1")) for line in figure.iter("line") if line.get("x1") == "40"})
+    top, bottom = ys[0], ys[-1]  # 100 % and 0 %
+    left, right = drawn["spd (paper)"][0][0], drawn["spd (paper)"][-1][0]
+    assert len(published) == len(drawn["spd (paper)"]) == 21
+    for (limit, share), (x, y) in zip(published, drawn["spd (paper)"], strict=True):
+        assert x == pytest.approx(left + (right - left) * limit / 20, abs=0.06)
+        assert y == pytest.approx(bottom + (top - bottom) * share, abs=0.06)
+    # all ten samples are 4 degrees off
+    assert [y for _, y in drawn["spd"]] == [bottom] * 4 + [top] * 17

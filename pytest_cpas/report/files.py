@@ -8,11 +8,15 @@ from pathlib import Path
 from pytest_cpas._files import write_text
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.markdown import markdown
+from pytest_cpas.report.page import page
 
 
 def write_report(document: Document, folder: Path) -> None:
-    """Write ``report.json`` and ``report.md``, each as a whole or not at all; OSError if a disk
-    does not take it."""
+    """Write ``report.json``, ``report.md`` and ``report.html``, each as a whole or not at all.
+
+    Raises :class:`OSError` if a disk does not take them.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     write_text(folder / "report.md", markdown(document))
+    write_text(folder / "report.html", page(document))

@@ -9,10 +9,11 @@ from pytest_cpas.report.document import Document
 from pytest_cpas.report.tables import Cell, category_lines, percent, precision_tables
 from pytest_cpas.report.words import (
     contract_words,
+    flip_words,
     golden_words,
     judged_words,
     outcome_words,
-    verdict_words,
+    troubles,
 )
 
 #: Lines of one kind before the rest is only counted: a job page takes 1 MiB.
@@ -40,6 +41,7 @@ def _lines(document: Document) -> Iterator[str]:
             ]
             for run in document["runs"]
         ],
+        "---",
     )
     for run in document["runs"]:
         yield from _told(run)
@@ -57,25 +59,7 @@ def _lines(document: Document) -> Iterator[str]:
 
 def _told(run: Document) -> Iterator[str]:
     """What is wrong with a run, and what was missing; nothing for a run without either."""
-    told: list[tuple[str, Sequence[str]]] = [
-        ("Problems of the data set", run["problems"]),
-        ("Missing", run["missing"]),
-        (
-            "Contract of the method",
-            [
-                f"{result['check']} ({result['status']}): {result['message']}"
-                for result in run["contract"]
-                if result["status"] in ("violated", "gone")
-            ],
-        ),
-        ("What explains it", [line for entry in run["findings"] for line in entry["lines"]]),
-        ("Verdicts", [verdict_words(v) for v in run["verdicts"] if v["outcome"] != "passed"]),
-        (
-            "Samples that could not be judged",
-            [f"{s['sample']}: {s['error']}" for s in run["samples"] if s["error"] is not None],
-        ),
-    ]
-    told = [(title, lines) for title, lines in told if lines]
+    told = troubles(run)
     if not told and not run["flips"]:
         return
     yield f"## {_escape(run['method'])} on {_escape(run['dataset'])}"
@@ -88,16 +72,17 @@ def _told(run: Document) -> Iterator[str]:
         yield "**Judged otherwise than by the golden table**"
         yield ""
         yield from _table(
-            ["sample", "lost at", "gained at", "n/a changed at", "before", "now"],
+            ["sample", "before", "now", "what changed"],
             [
                 [
                     _escape(flip["sample"]),
-                    *("; ".join(flip[kind]) for kind in ("lost", "gained", "changed")),
                     _escape(flip["before"]),
                     _escape(flip["after"]),
+                    flip_words(flip),
                 ]
                 for flip in run["flips"][:_SHOWN]
             ],
+            "---",
         )
         yield from _rest(len(run["flips"]))
 
@@ -132,9 +117,11 @@ def _cell(cell: Cell | None) -> str:
     return f"**{text}**" if cell.rank == 1 else text
 
 
-def _table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> Iterator[str]:
+def _table(
+    head: Sequence[str], lines: Sequence[Sequence[str]], align: str = "---:"
+) -> Iterator[str]:
     yield f"| {' | '.join(head)} |"
-    yield f"|---|{'---:|' * (len(head) - 1)}"
+    yield f"|---|{f'{align}|' * (len(head) - 1)}"
     for line in lines:
         yield f"| {' | '.join(line)} |"
     yield ""

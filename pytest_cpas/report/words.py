@@ -43,9 +43,38 @@ def contract_words(results: Sequence[Document]) -> str:
     return "; ".join(parts)
 
 
+def flip_words(flip: Document) -> str:
+    """At which thresholds a sample is judged otherwise than by the golden table."""
+    kinds = (("lost", flip["lost"]), ("gained", flip["gained"]), ("n/a changed", flip["changed"]))
+    return ". ".join(f"{kind} at {'; '.join(labels)}" for kind, labels in kinds if labels)
+
+
 def golden_words(run: Document) -> str:
     """The verdicts of a run, each word with its categories; what failed stands first."""
     words: dict[str, list[str]] = {}
     for verdict in sorted(run["verdicts"], key=lambda v: SEVERITY.index(v["outcome"])):
         words.setdefault(verdict["word"], []).append(verdict["category"])
     return "; ".join(f"{word} ({', '.join(names)})" for word, names in words.items())
+
+
+def troubles(run: Document) -> list[tuple[str, list[str]]]:
+    """What is wrong with a run, and what was missing, under titles."""
+    told = [
+        ("Problems of the data set", run["problems"]),
+        ("Missing", run["missing"]),
+        (
+            "Contract of the method",
+            [
+                f"{result['check']} ({result['status']}): {result['message']}"
+                for result in run["contract"]
+                if result["status"] in ("violated", "gone")
+            ],
+        ),
+        ("What explains it", [line for entry in run["findings"] for line in entry["lines"]]),
+        ("Verdicts", [verdict_words(v) for v in run["verdicts"] if v["outcome"] != "passed"]),
+        (
+            "Samples that could not be judged",
+            [f"{s['sample']}: {s['error']}" for s in run["samples"] if s["error"] is not None],
+        ),
+    ]
+    return [(title, lines) for title, lines in told if lines]

@@ -1,0 +1,308 @@
+"""A document as one HTML page that needs no network and no server.
+
+Tables and curves are in the page itself and need no script; a script lists the samples. The page's
+policy admits that one script only, and nothing from elsewhere.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from urllib.parse import urlencode
+
+from pytest_cpas.report._html import Child, Element, element, page_text
+from pytest_cpas.report.curves import charts, curve_lines
+from pytest_cpas.report.document import SEVERITY, Document
+from pytest_cpas.report.tables import Cell, Line, category_lines, percent, precision_tables
+from pytest_cpas.report.words import (
+    contract_words,
+    flip_words,
+    golden_words,
+    judged_words,
+    outcome_words,
+    troubles,
+)
+
+#: Flips that the page lists with their errors; the list of samples has all.
+_FLIPS = 50
+
+#: Runs of which the details are unfolded although nothing is wrong with them.
+_UNFOLDED = 2
+
+
+def page(document: Document) -> str:
+    """The text of ``report.html``."""
+    runs = document["runs"]
+    details = [_run(run, index, document) for index, run in enumerate(runs)]
+    failed = sum(run["outcome"] == "failed" for run in runs)
+    script = _asset("page.js")
+    main = [
+        _header(document),
+        element("div", [_card(run, index) for index, run in enumerate(runs)], class_="cards"),
+        details[:failed],
+        [
+            part
+            for dataset, lines in precision_tables(document)
+            for part in (
+                element("h2", f"Precision on {dataset}"),
+                _precision_table(document["thresholds"], lines),
+                element("div", list(charts(curve_lines(document, dataset))), class_="charts"),
+            )
+        ],
+        element("h2", "Runs without failures") if details[failed:] else None,
+        details[failed:],
+        _samples(len(runs) > 1),
+        element("script", _data(document), type="application/json", id="data"),
+        element("script", script),
+    ]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=policy),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("title", f"{outcome_words(document['outcome'])}: pytest-cpas"),
+        element("style", _asset("page.css")),
+    )
+    return page_text(element("html", head, element("body", main), lang="en"))
+
+
+def _asset(name: str) -> str:
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
+
+
+def _badge(outcome: str) -> Element:
+    return element("span", outcome_words(outcome), class_=f"badge {outcome}")
+
+
+def _name(run: Document) -> str:
+    return f"{run['method']} on {run['dataset']}"
+
+
+def _header(document: Document) -> Element:
+    runs = document["runs"]
+    judged, listed = (sum(run[key] for run in runs) for key in ("judged", "listed"))
+    counts = [
+        f"{sum(run['outcome'] == outcome for run in runs)} {outcome_words(outcome).lower()}"
+        for outcome in SEVERITY
+        if any(run["outcome"] == outcome for run in runs)
+    ]
+    items = document["failed_items"]
+    failed = f"; {items} test {'item' if items == 1 else 'items'} failed" if items else ""
+    return element(
+        "header",
+        element("h1", "pytest-cpas ", _badge(document["outcome"])),
+        element(
+            "p",
+            f"{judged} of {listed} samples judged in {len(runs)}"
+            f" {'run' if len(runs) == 1 else 'runs'}: {', '.join(counts)}{failed}",
+            class_="faint",
+        ),
+    )
+
+
+def _card(run: Document, index: int) -> Element:
+    links = []
+    lost = sum(bool(flip["lost"]) for flip in run["flips"])
+    gained = sum(bool(flip["gained"]) for flip in run["flips"])
+    errors = sum(sample["error"] is not None for sample in run["samples"])
+    for count, verdict in (
+        (errors, "not judged"),
+        (lost, "lost"),
+        (gained, "gained"),
+        (run["unanswered"], "no answer"),
+    ):
+        if count:
+            there = "#" + urlencode({"run": _name(run), "verdict": verdict})
+            links += [element("a", f"{count} {verdict}", href=there), " "]
+    return element(
+        "div",
+        _badge(run["outcome"]),
+        element("strong", element("a", _name(run), href=f"#run-{index}")),
+        element("p", judged_words(run)),
+        element("p", golden_words(run), class_="faint"),
+        element("p", links) if links else None,
+        class_=f"card {run['outcome']}",
+    )
+
+
+def _table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = False) -> Element:
+    """``text``: its cells are words rather than numbers."""
+    return element(
+        "div",
+        element(
+            "table",
+            element("thead", element("tr", [element("th", title) for title in head])),
+            element("tbody", list(lines)),
+            class_="text" if text else None,
+        ),
+        class_="scroll",
+    )
+
+
+def _precision_table(thresholds: Sequence[str], lines: Sequence[Line]) -> Element:
+    return _table(
+        ["correct at", *thresholds],
+        [
+            element(
+                "tr",
+                element("td", line.method, " (paper)" if line.paper else None),
+                [_precision_cell(cell) for cell in line.cells],
+                class_="paper" if line.paper else None,
+            )
+            for line in lines
+        ],
+    )
+
+
+def _precision_cell(cell: Cell | None) -> Element:
+    if cell is None:
+        return element("td", "n/a", class_="faint")
+    return element(
+        "td",
+        cell.percent,
+        element("sup", str(cell.rank)) if cell.rank else None,
+        element("small", f"{cell.correct}/{cell.total}"),
+        class_=f"rank{cell.rank}" if cell.rank else None,
+    )
+
+
+def _run(run: Document, index: int, document: Document) -> Element:
+    opened = run["outcome"] == "failed" or len(document["runs"]) <= _UNFOLDED
+    return element(
+        "details",
+        element("summary", f"{_name(run)} ", _badge(run["outcome"])),
+        list(_told(run)),
+        element("h3", "Per category"),
+        _category_table(run, document["thresholds"]),
+        element("p", contract_words(run["contract"]), class_="faint"),
+        element("h3", "Conditions"),
+        _table(
+            ["what", "value"],
+            [
+                element("tr", element("td", key), element("td", value, class_="wrap"))
+                for key, value in {**run["identity"], **run["provenance"]}.items()
+            ],
+            text=True,
+        ),
+        class_="run",
+        id=f"run-{index}",
+        open=opened,
+    )
+
+
+def _told(run: Document) -> Iterator[Element]:
+    """What is wrong, or missing."""
+    for title, lines in troubles(run):
+        yield element("h3", title)
+        yield element("pre", "\n".join(lines))
+    if run["flips"]:
+        yield element("h3", "Judged otherwise than by the golden table")
+        yield _table(
+            ["sample", "category", "before", "now", "what changed"],
+            [
+                element(
+                    "tr",
+                    element("td", flip["sample"]),
+                    element("td", flip["category"]),
+                    element("td", flip["before"]),
+                    element("td", flip["after"]),
+                    element("td", flip_words(flip), class_="wrap"),
+                )
+                for flip in run["flips"][:_FLIPS]
+            ],
+            text=True,
+        )
+        if len(run["flips"]) > _FLIPS:
+            yield element("p", f"and {len(run['flips']) - _FLIPS} more", class_="faint")
+
+
+def _category_table(run: Document, thresholds: Sequence[str]) -> Element:
+    lines = []
+    for category, entries in category_lines(run):
+        cells = []
+        for entry in entries:
+            count = entry["measured"]
+            others = [
+                element("small", f"{kind} {percent(entry[kind])}")
+                for kind in ("golden", "published")
+                if entry[kind]
+            ]
+            if count is None:
+                cells.append(element("td", "n/a", others, class_="faint"))
+                continue
+            width = f"width:{100 * count['correct'] / count['total']:.1f}%"
+            bar = element("span", element("span", style=width), class_="bar")
+            fraction = f"{count['correct']}/{count['total']}"
+            cells.append(element("td", f"{fraction} {percent(count)}", bar, others))
+        lines.append(element("tr", element("td", category), cells))
+    return _table(["correct at", *thresholds], lines)
+
+
+def _samples(several: bool) -> Element:
+    def choice(title: str, name: str, first: str, **options: str) -> Element:
+        made = [element("option", words, value=value) for value, words in options.items()]
+        return element(
+            "label",
+            title,
+            element("select", element("option", first, value=""), made, name=name),
+        )
+
+    columns = ["sample", "category", "now", "golden", "position, cm", "rotation, deg", "IoU"]
+    columns += ["F 1 cm", *(["run"] if several else []), "remark"]
+    table = _table(columns, [], text=True)
+    for body in table.iter("tbody"):
+        body.set("id", "samples")
+    return element(
+        "section",
+        element("h2", "Samples"),
+        element(
+            "noscript",
+            element("p", "The list of samples needs JavaScript; report.json beside it has all."),
+        ),
+        element(
+            "form",
+            choice("run", "run", "all"),
+            choice("category", "category", "all"),
+            choice("verdict", "verdict", "all"),
+            choice("at", "at", "any threshold"),
+            choice("order", "order", "by name", worst="worst first"),
+            element("label", "name contains", element("input", name="name", type="search")),
+            element("button", "reset", type="button", id="reset"),
+            id="filters",
+        ),
+        element("p", class_="faint", id="told", aria_live="polite"),
+        table,
+        element("button", "show more", type="button", id="more", hidden=True),
+    )
+
+
+def _data(document: Document) -> str:
+    """What the script lists. No text in it can end the script element that it stands in."""
+    runs = []
+    for run in document["runs"]:
+        categories = sorted({sample["category"] for sample in run["samples"]})
+        samples = [
+            [
+                sample["sample"],
+                categories.index(sample["category"]),
+                sample["outcome"],
+                sample["golden"],
+                *(_short(sample[key]) for key in ("position_m", "rotation_deg")),
+                *(_short(sample[key]) for key in ("iou", "fscore_1cm")),
+                sample["error"] or sample["failure"],
+                sample["failure"] is not None,
+            ]
+            for sample in run["samples"]
+        ]
+        runs.append({"name": _name(run), "categories": categories, "samples": samples})
+    data = {"thresholds": document["thresholds"], "runs": runs}
+    return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.6g}")
