@@ -79,7 +79,7 @@ def _style(line: Line) -> str:
 
 
 def _chart(name: str, factor: float, label: str, lines: Sequence[Line]) -> Element:
-    largest = max(
+    largest: float = max(
         factor * point["threshold"] for line in lines for point in line.curves.get(name) or ()
     )
     right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM

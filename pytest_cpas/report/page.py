@@ -39,7 +39,7 @@ def page(document: Document) -> str:
     details = [_run(run, index, document) for index, run in enumerate(runs)]
     failed = sum(run["outcome"] == "failed" for run in runs)
     script = _asset("page.js")
-    main = [
+    main: list[Child] = [
         _header(document),
         element("div", [_card(run, index) for index, run in enumerate(runs)], class_="cards"),
         details[:failed],
@@ -106,7 +106,7 @@ def _header(document: Document) -> Element:
 
 
 def _card(run: Document, index: int) -> Element:
-    links = []
+    links: list[Child] = []
     lost = sum(bool(flip["lost"]) for flip in run["flips"])
     gained = sum(bool(flip["gained"]) for flip in run["flips"])
     errors = sum(sample["error"] is not None for sample in run["samples"])
