@@ -26,7 +26,8 @@ def test_planted_faults_are_caught(planted):
 
 def test_the_diagnosis_names_what_no_check_can_see():
     planted = next(planted for planted in FAULTS if planted.name == "NOCS object axes")
-    assert method_faults.is_named(planted, method_faults.caught(planted.make))
+    assert method_faults.is_named(planted, method_faults.diagnosed(planted.make, limit=20))
+    assert method_faults.diagnosed(Planted, limit=20) == []
 
 
 @pytest.mark.parametrize("seed", range(2))
