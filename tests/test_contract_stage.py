@@ -55,6 +55,20 @@ def test_summary_counts_the_checks(cpas):
     )
 
 
+def test_method_that_raises_says_where(cpas):
+    result = cpas("Explodes")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(
+        ["*answers: predict raised RuntimeError('the network exploded') at *tiny.py, line *"]
+    )
+
+
+def test_one_sample_accuses_no_adapter(cpas):
+    result = cpas("Millimetres", "--cpas-limit=1", "-rs")
+    result.stdout.fnmatch_lines(["SKIPPED *a single sample, which may be the method's mistake: *"])
+    result.stdout.fnmatch_lines(["1 of 12 samples judged"])
+
+
 def test_what_is_not_declared_is_not_demanded(cpas):
     assert cpas("DeclaredInexact").ret == 0
 

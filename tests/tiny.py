@@ -242,6 +242,11 @@ class Millimetres(Perfect):
         return Prediction((replace(best, translation=1000 * best.translation),))
 
 
+class Explodes(Perfect):
+    def answer(self, index: int) -> Prediction:
+        raise RuntimeError("the network exploded")
+
+
 class Inexact(Perfect):
     """Noise from a generator of its own: half a millimetre, never the same."""
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import functools
 import random
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -152,7 +153,9 @@ class MethodSubject:
             except ContractError as error:
                 raise Finding(Outcome.VIOLATED, str(error)) from None
             except Exception as error:
-                raise Finding(Outcome.RAISED, f"predict raised {error!r}") from error
+                *_, last = traceback.extract_tb(error.__traceback__)
+                where = f"{last.filename}, line {last.lineno}"
+                raise Finding(Outcome.RAISED, f"predict raised {error!r} at {where}") from error
         self.changed_state += changed
         for before, after in zip(batch, given, strict=True):
             self.changed_inputs += [
