@@ -15,7 +15,7 @@ from method_adapters._sdfest_estimation import Estimate, View, first_estimate, r
 from method_adapters._so3_grid import rotation_grid
 from pytest_cpas.datasets._images import read_depth
 from pytest_cpas.datasets.nocs import REAL_CAMERA, Real275
-from pytest_cpas.datasets.redwood import visible
+from pytest_cpas.datasets.rendering import hidden, render
 from pytest_cpas.evaluation import check_answers, measure
 from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.types import CATEGORIES, ContractError, Observation, Pose, Sample, SampleRef
@@ -364,7 +364,8 @@ def test_real_frame_with_rendered_masks(trained, test_data):
         scaled = poses[row]
         turn = scaled[:3, :3] / np.cbrt(np.linalg.det(scaled[:3, :3])) @ NOCS_FROM_SHAPENET
         truth = replace(truths[category], pose=Pose(turn, scaled[:3, 3]))
-        mask = visible(truth.surface, truth.pose, depth, REAL_CAMERA)
+        rendered = render([(truth.surface, truth.pose)], REAL_CAMERA).depth
+        mask = (rendered > 0) & ~hidden(rendered, depth)
         assert mask.sum() > 1000
         rgb = np.zeros((480, 640, 3), np.float32)
         seen = Observation(category, rgb, depth, mask, REAL_CAMERA)
