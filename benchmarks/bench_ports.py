@@ -26,6 +26,7 @@ import torch
 from torch import Tensor, nn
 
 from method_adapters._networks import pointnet2
+from method_adapters._networks.asmnet import AsmNet
 from method_adapters._networks.cass import CassNet
 from method_adapters._networks.crnet import CrNet
 from method_adapters._networks.dpdn import DpdnNet
@@ -41,6 +42,7 @@ NETWORKS = {
     "dpdn": DpdnNet,
     "cass": CassNet,
     "rbppose": RbpPoseNet,
+    "asmnet": AsmNet,
 }
 Outputs = Callable[[], Sequence[Tensor]]
 
@@ -61,7 +63,7 @@ def medians(*functions: Callable[[], object], repeats: int) -> list[float]:
 def peer_module(path: str) -> ModuleType:
     """A published network; what its package imports for training and plots alone is left out."""
     names = ("cv2", "matplotlib", "matplotlib.pyplot", "tqdm")
-    names += ("torchvision", "torchvision.transforms")
+    names += ("torchvision", "torchvision.transforms", "sklearn", "sklearn.decomposition")
     for name in [n for n in names if n not in sys.modules]:
         if name.partition(".")[0] in sys.modules or find_spec(name) is None:
             sys.modules[name] = MagicMock()
@@ -78,6 +80,8 @@ def inputs(name: str) -> list[Tensor]:
     category, prior = torch.tensor([5]), torch.rand((1, 1024, 3), generator=generator) - 0.5
     if name == "cass":
         return [points[:, :500], image, choose[:, :500], category]
+    if name == "asmnet":
+        return [(points[:, :800] - torch.tensor([0.06, 0.1, 0.85])).mT.contiguous() * 8]
     if name == "rbppose":
         kept = [torch.arange(n)[None] for n in (257, 64, 256, 64)]
         return [points, category, prior, torch.tensor([[0.1, 0.2, 0.1]]), *kept]
@@ -138,11 +142,18 @@ def published_rbppose(weights: dict[str, Tensor], given: list[Tensor]) -> Output
     return outputs
 
 
+def published_asmnet(weights: dict[str, Tensor], given: list[Tensor]) -> Outputs:
+    network = peer_module("_asmnet.ASM_Net.pointnet").ASM_Net(num_points=800, k=4).eval()
+    network.load_state_dict(weights, strict=True)
+    return lambda: network(*given)
+
+
 PEERS = {
     "spd": deform_net("_spd.spd.network"),
     "crnet": deform_net("_crnet.crnet.network"),
     "cass": published_cass,
     "rbppose": published_rbppose,
+    "asmnet": published_asmnet,
 }
 
 

@@ -23,7 +23,7 @@ START = 1e-12
 ROTATION_WEIGHT = 2
 #: The distance function is taken for linear around the points where it was last evaluated, until
 #: one has moved further than this, model units.
-LINEAR_REACH = 0.01
+LINEAR_REACH = 0.02
 #: Nodes per axis of the grids for the mesh: the first finds where the second is worth evaluating.
 COARSE, FINE = 32, 64
 #: Nodes whose distance, interpolated between coarse ones, is below this are evaluated: no

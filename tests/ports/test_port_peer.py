@@ -11,6 +11,7 @@ import sys
 from importlib.util import find_spec
 from unittest.mock import MagicMock
 
+import asmnet_cases
 import cases
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 def peer(monkeypatch):
     """Import a module of the peer; what it needs for training and plots alone is left out."""
     names = ("cv2", "matplotlib", "matplotlib.pyplot", "tqdm")
-    names += ("torchvision", "torchvision.transforms")
+    names += ("torchvision", "torchvision.transforms", "sklearn", "sklearn.decomposition")
     for name in [n for n in names if find_spec(n.partition(".")[0]) is None]:
         monkeypatch.setitem(sys.modules, name, MagicMock())
     with contextlib.suppress(ImportError):
@@ -216,3 +217,15 @@ def test_similarity(peer):
     np.testing.assert_allclose(ours.rotation, rotation, atol=1e-3)
     np.testing.assert_allclose(ours.translation, translation, atol=1e-4)
     np.testing.assert_allclose(ours.scale, np.mean(scale), rtol=1e-3)
+
+
+@pytest.mark.parametrize("category", ["bottle", "can"])
+def test_asmnet(peer, category):
+    published = peer("_asmnet.ASM_Net.pointnet").ASM_Net(num_points=800, k=4).eval()
+    ours = asmnet_cases.network(category)
+    published.load_state_dict(ours.state_dict(), strict=True)
+    inputs = asmnet_cases.network_inputs()
+    with torch.inference_mode():
+        theirs = published(*inputs)
+    for a, b in zip(cases.outputs_of(ours, inputs), theirs, strict=True):
+        assert cases.relative(a, b.numpy()) <= cases.TOLERANCE
