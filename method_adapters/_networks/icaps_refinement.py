@@ -21,8 +21,8 @@ CLAMP = 0.1
 START = 1e-12
 #: The gradient of the rotation counts so many times.
 ROTATION_WEIGHT = 2
-#: The distance function is taken for linear around the points where it was last evaluated, until
-#: one has moved further than this, model units.
+#: The distance function is taken for linear around a point where it was evaluated, until the
+#: point has moved further than this, model units.
 LINEAR_REACH = 0.02
 #: Nodes per axis of the grids for the mesh: the first finds where the second is worth evaluating.
 COARSE, FINE = 32, 64
@@ -127,15 +127,17 @@ class _Increment:
 
     def descend(self, shape: Shape) -> None:
         """One round of steps towards a shape."""
-        known: tuple[Tensor, Tensor, Tensor] | None = None
+        where = torch.full_like(self._points, torch.inf)
+        distance, slope = torch.empty_like(where[:, 0]), torch.empty_like(where)
         for _ in range(STEPS):
             at = moved(self._points, self._vector)
             now = at.detach()
-            if known is None or bool((now - known[0]).norm(dim=1).max() > LINEAR_REACH):
-                known = (now, *shape.distances_and_gradients(now))
-            where, distance, slope = known
-            distance = distance + ((at - where) * slope).sum(1)
-            loss = (self._counts * distance.clamp(-CLAMP, CLAMP).abs()).sum()
+            stale = (now - where).norm(dim=1) > LINEAR_REACH
+            if bool(stale.any()):
+                where[stale] = now[stale]
+                distance[stale], slope[stale] = shape.distances_and_gradients(now[stale])
+            linear = distance + ((at - where) * slope).sum(1)
+            loss = (self._counts * linear.clamp(-CLAMP, CLAMP).abs()).sum()
             (gradient,) = torch.autograd.grad(loss, self._vector)
             self._vector.grad = self._weights * gradient
             self._adam.step()
