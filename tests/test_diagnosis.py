@@ -367,6 +367,16 @@ def test_a_dozen_samples_can_be_enough():
     assert found.after.correct == 12
 
 
+def test_one_sample_of_each_category_can_be_enough(original):
+    """Other samples' truths are then those of other categories."""
+    first = [np.flatnonzero(original.category == name)[0] for name in np.unique(original.category)]
+    answers = original.truth
+    six = replace(original, answers=answers).part(np.isin(np.arange(len(original)), first))
+    (found,) = diagnose(wrong(six, GL @ six.answers.rotation, six.answers.translation @ GL))
+    assert found.name == "camera-frame-opengl"
+    assert found.after.correct == 6
+
+
 def test_infinite_answers_are_unanswered(original):
     far = original.answers.translation.copy()
     far[:100] = np.inf

@@ -8,6 +8,9 @@ from harness import RUN
 from pytest_cpas.diagnosis.running import diagnose_run, is_far_below
 from pytest_cpas.evaluation import MethodRun, Row
 
+#: Judge the samples of an adapter that the contract would stop.
+ALL = ("-k", "not test_contract")
+
 CAUSE = "your camera frame is OpenGL's, not OpenCV's, and your object frame is NOCS's"
 
 
@@ -60,6 +63,22 @@ def test_missing_table_is_explained_as_well(cpas):
     result = cpas("Undeclared", "-k", "not test_contract", "--cpas-require-golden")
     assert result.ret == 1
     result.stdout.fnmatch_lines([f"*{CAUSE}*"])
+
+
+def test_the_contract_is_stopped_with_an_explanation(cpas, pytester):
+    result = cpas("Undeclared", "--junitxml=out.xml")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(
+        [
+            "the adapter is wrong: perfect on tiny, in_front_of_camera: *",
+            "demanded: the object is in front of the camera",
+            f"{CAUSE}, not ShapeNet's: with both 100 % of the samples are correct"
+            " (12 of 12, before 0; at 10 deg, 2 cm)",
+            '  change: camera_frame="opengl" in MethodInfo',
+            "0 of 12 samples judged",
+        ]
+    )
+    assert CAUSE in (pytester.path / "out.xml").read_text().replace("&apos;", "'")
 
 
 @pytest.mark.parametrize("method", ["Perfect", "Biased", "Refuses", "OnlyPose", "OtherFrames"])

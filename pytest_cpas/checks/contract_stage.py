@@ -21,7 +21,8 @@ from pytest_cpas.checks.contract import (
     check_contract,
 )
 from pytest_cpas.checks.subject import Outcome
-from pytest_cpas.evaluation import MethodError, MethodRun
+from pytest_cpas.diagnosis import diagnose_run
+from pytest_cpas.evaluation import MethodError, MethodRun, SampleError, Selection
 from pytest_cpas.types import ContractError, Method, Sample, SampleRef
 
 __all__ = [
@@ -34,6 +35,9 @@ __all__ = [
 
 #: Samples that the checks look at.
 SMOKE_SAMPLES = 4
+
+#: Samples on which the usual mistakes are tried if the adapter is wrong.
+EXPLAINED_SAMPLES = 12
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,17 @@ class ContractStage:
             if result.wrong and not result.known
         )
 
+    @functools.cached_property
+    def explanation(self) -> list[str]:
+        """Which usual mistake explains it, tried on a few samples; empty if none does."""
+        rows = []
+        for ref in Selection(limit=EXPLAINED_SAMPLES).of(self.run.samples):
+            try:
+                rows.append(self.run.judge(ref))
+            except SampleError:
+                continue  # a check says what is wrong with such an answer
+        return [line for finding in diagnose_run(self.run, rows, {}) for line in finding.lines()]
+
 
 class StoredStage:
     """The same of merged shards: of each check, the worst that a shard has found."""
@@ -171,3 +186,8 @@ class StoredStage:
     def result(self, check: ContractCheck) -> ContractResult | None:
         """What the shards found; None if none of them ran the check."""
         return self._results.get(check.name)
+
+    @property
+    def explanation(self) -> list[str]:
+        """Nothing: there is no method to ask."""
+        return []

@@ -291,12 +291,15 @@ def _chance(evidence: Evidence, answers: Estimates, part: Part) -> float:
 
 
 def _orders(evidence: Evidence) -> Iterator[NDArray[np.int64]]:
-    """Ways to give every sample the truth of another one of its category."""
+    """Ways to give every sample the truth of another one, of its category if there is one."""
+    members = [np.flatnonzero(evidence.category == name) for name in np.unique(evidence.category)]
+    groups = [group for group in members if len(group) > 1]
+    groups.append(np.concatenate([group[: len(group) == 1] for group in members]))
     for shuffle in range(1, _SHUFFLES + 1):
         order = np.arange(len(evidence))
-        for category in np.unique(evidence.category):
-            members = np.flatnonzero(evidence.category == category)
-            order[members] = np.roll(members, -(-len(members) * shuffle // (_SHUFFLES + 1)))
+        for group in groups:
+            # far apart, since neighbours are alike in a video
+            order[group] = np.roll(group, max(1, len(group) * shuffle // (_SHUFFLES + 1)))
         yield order
 
 

@@ -53,7 +53,8 @@ def test_listing(run: Run) -> None:
 
 def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest) -> None:
     """The method keeps the contract on a few samples; a known violation still happens."""
-    result = cpas_session(request.config).stages[run].result(check)
+    stage = cpas_session(request.config).stages[run]
+    result = stage.result(check)
     if result is None:
         pytest.skip(f"no shard has checked {check.name}")
     request.node.stash[FOUND] = Found(contract=result.plain())
@@ -66,11 +67,12 @@ def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest
             pytrace=False,
         )
     if result.wrong:
-        pytest.fail(
-            f"the adapter is wrong: {run.method} on {run.dataset}, {check.name}: {result.message}"
-            f"\ndemanded: {check.statement[0].lower()}{check.statement[1:]}",
-            pytrace=False,
-        )
+        lines = [
+            f"the adapter is wrong: {run.method} on {run.dataset}, {check.name}: {result.message}",
+            f"demanded: {check.statement[0].lower()}{check.statement[1:]}",
+            *(stage.explanation if check.smoke else ()),
+        ]
+        pytest.fail("\n".join(lines), pytrace=False)
     if result.outcome is Outcome.NOT_OFFERED:
         pytest.skip(f"{check.name}: {result.message}")
     if result.violated:
