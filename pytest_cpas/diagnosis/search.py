@@ -141,13 +141,12 @@ def _undone(answers: Estimates, mistakes: Sequence[Mistake]) -> Estimates:
 
 def _with(evidence: Evidence, chosen: Bools, answers: Estimates) -> Evidence:
     """The evidence with other answers of the chosen samples."""
-    arrays = [evidence.answers.rotation, evidence.answers.translation, evidence.answers.extents]
-    new = [array.copy() for array in arrays]
-    for array, values in zip(
-        new, (answers.rotation, answers.translation, answers.extents), strict=True
-    ):
-        array[chosen] = values
-    return replace(evidence, answers=Estimates(*new))
+    old = evidence.answers
+    merged = Estimates(old.rotation.copy(), old.translation.copy(), old.extents.copy())
+    merged.rotation[chosen] = answers.rotation
+    merged.translation[chosen] = answers.translation
+    merged.extents[chosen] = answers.extents
+    return replace(evidence, answers=merged)
 
 
 def _share(evidence: Evidence) -> float:
@@ -178,7 +177,7 @@ def _explain(evidence: Evidence, part: Part, category: str) -> Finding | None:
     if not len(evidence):
         return None
     searched = evidence
-    if category == "all":  # with numbers fitted per sample there are fewer samples
+    if category == "all":  # origins are fitted to each sample, and need them all
         searched = evidence.part(np.arange(len(evidence)) % (len(evidence) // _SEARCHED + 1) == 0)
     every = list(_candidates(searched, part, origins=category != "all"))
     usual = [pair for pair in every if not any(mistake.fitted for mistake in pair[0])]
