@@ -50,7 +50,6 @@ __all__ = [
     "check_contract",
     "contract",
     "difference",
-    "judge_mostly",
 ]
 
 
@@ -179,23 +178,6 @@ class MethodSubject:
         seen = difference(prediction, expected, self.info.tolerance)
         if seen:
             raise Finding(Outcome.VIOLATED, f"{advice} ({seen})")
-
-
-def judge_mostly(objections: Sequence[str], advice: str = "") -> None:
-    """Violated if more than half of the samples have an objection; the first is told.
-
-    ``objections``: one for each sample that was looked at, empty if there is none. A method may be
-    wrong about an object, an adapter is wrong about most; so one sample alone proves nothing.
-    """
-    words = [words for words in objections if words]
-    if words and len(objections) == 1:
-        raise NotCheckedError(f"a single sample, which may be the method's mistake: {words[0]}")
-    if 2 * len(words) > len(objections):
-        advice = f"; {advice}" if advice else ""
-        raise Finding(
-            Outcome.VIOLATED,
-            f"{len(words)} of {len(objections)} samples, the first: {words[0]}{advice}",
-        )
 
 
 def difference(one: Prediction, other: Prediction, tolerance: float) -> str:

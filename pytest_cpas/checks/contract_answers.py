@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.checks.contract import MethodSubject, NotCheckedError, contract, judge_mostly
+from pytest_cpas.checks.contract import MethodSubject, NotCheckedError, contract
 from pytest_cpas.checks.subject import Finding, Outcome
 from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo, Observation
 
@@ -38,11 +38,18 @@ def _gives_shape_and_extents(info: MethodInfo) -> bool:
 
 
 def _mostly(subject: MethodSubject, judge: Callable[[Observation, Hypothesis], str]) -> None:
-    """``judge`` says what is wrong with an answer, or nothing; see :func:`judge_mostly`."""
+    """Violated if ``judge``, which says what is wrong with an answer or nothing, objects to more
+    than half of them: a method may be wrong about an object, an adapter is wrong about most."""
     answered = subject.hypotheses()
     if not answered:
         raise NotCheckedError("the method has no answer for any of the samples")
-    judge_mostly([judge(observation, found) for observation, found in answered])
+    words = [said for observation, found in answered if (said := judge(observation, found))]
+    if words and len(answered) == 1:
+        raise NotCheckedError(f"a single sample, which may be the method's mistake: {words[0]}")
+    if 2 * len(words) > len(answered):
+        raise Finding(
+            Outcome.VIOLATED, f"{len(words)} of {len(answered)} samples, the first: {words[0]}"
+        )
 
 
 @contract(smoke=True)
