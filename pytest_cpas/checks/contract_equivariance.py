@@ -176,7 +176,7 @@ def _follows(
         raise NotCheckedError(f"a single sample, which may be ambiguous: {objections[0]}")
     raise Finding(
         Outcome.VIOLATED,
-        f"{len(objections)} of {len(objections)} samples, the first: {objections[0]}; {advice}",
+        f"none of {len(objections)} samples follows; the first: {objections[0]}; {advice}",
     )
 
 
