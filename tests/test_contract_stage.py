@@ -1,10 +1,16 @@
 """The contract of a method before its samples, in whole runs of pytest."""
 
+import json
+import random
+import re
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import tiny
 from harness import KEPT, NOT_DEMANDED, RUN
 
-from pytest_cpas.checks import CONTRACT
+from pytest_cpas.checks import CONTRACT, ContractResult, MethodSubject, Outcome, check_contract
 from pytest_cpas.checks.contract_stage import SMOKE_SAMPLES, smoke_samples
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.types import ContractError
@@ -171,3 +177,41 @@ def test_every_check_says_what_it_demands():
     for check in CONTRACT.values():
         assert check.statement
         assert "\n" not in check.statement
+
+
+class Draws(tiny.Perfect):
+    def answer(self, index):
+        random.random()
+        np.random.seed(index)  # noqa: NPY002
+        return super().answer(index)
+
+
+def test_global_random_states_are_put_back():
+    data = tiny.Tiny(None)
+    method = Draws()
+    method.load(None, "cpu")
+    subject = MethodSubject(method, [data.load(ref) for ref in data.samples[:3]])
+    states = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
+    results = [check_contract(subject, check) for check in CONTRACT.values()]
+    assert states == (random.getstate(), np.random.get_state()[1].tolist())  # noqa: NPY002
+    (found,) = [r for r in results if r.check == "global_random_state_untouched"]
+    assert "of numpy.random, random:" in found.message
+    assert not found.wrong  # it is not demanded
+
+
+def test_results_travel_as_plain_values():
+    result = ContractResult("order", Outcome.VIOLATED, True, "seen", known=True)
+    assert ContractResult(**json.loads(json.dumps(result.plain()))) == result
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"tolerance": 1.0}, "tolerance is 1.0, expected metres and radians that float noise"),
+        ({"tolerance": float("nan")}, "tolerance is nan"),
+        ({"equivariances": frozenset({"rol"})}, "equivariances has ['rol'], expected some of"),
+    ],
+)
+def test_declarations_are_checked(wrong, words):
+    with pytest.raises(ContractError, match=re.escape(words)):
+        replace(tiny.Perfect.info, **wrong)

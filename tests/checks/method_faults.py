@@ -140,7 +140,7 @@ answer("centimetres", "metric_units", lambda h, o: {"translation": 100 * h.trans
 answer("everything in millimetres", "metric_units", lambda h, o: {
     "translation": 1000 * h.translation, "extents": 1000 * h.extents,
     "points": 1000 * h.points})  # fmt: skip
-answer("translation in focal lengths", "metric_units",
+answer("translation divided by the size", "metric_units",
        lambda h, o: {"translation": h.translation / np.linalg.norm(h.extents)})  # fmt: skip
 answer("half extents", "extents_of_shape", lambda h, o: {"extents": h.extents / 2})
 answer("doubled extents", "extents_of_shape", lambda h, o: {"extents": 2 * h.extents})
