@@ -98,6 +98,28 @@ def ports(session: nox.Session) -> None:
         "--quiet",
         env=ENV,
     )
+    for name in ("asmnet", "icaps"):
+        session.run("python", f"tests/ports/{name}_cases.py", "weights", weights, env=ENV)
+    session.run(
+        "pytest",
+        "--cpas-method=asmnet",
+        "--cpas-dataset=synthetic-handheld",
+        f"--cpas-weights={weights}",
+        "--numprocesses=2",
+        "--quiet",
+        env=ENV,
+    )
+    # seconds per answer, of which the contract takes 25
+    session.run(
+        "pytest",
+        "--cpas-method=icaps",
+        "--cpas-dataset=synthetic-handheld",
+        f"--cpas-weights={weights}",
+        "--cpas-limit=6",
+        "-k",
+        "not test_contract",
+        "--quiet",
+    )
     # the answers of random weights mean nothing, but they must not depend on what does not matter
     meaning = "in_front or metric_units or projects or extents_of_shape or shape_in_box"
     session.run(
