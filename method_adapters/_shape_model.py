@@ -27,7 +27,7 @@ class ShapeModel:
     components: Array
 
     def deformed(self, coefficients: Array) -> Array:
-        """The shape (N, 3) of three coefficients (section 3.2 of the paper)."""
+        """The shape (N, 3) of three coefficients."""
         shape: Array = self.mean + np.tensordot(coefficients, self.components, axes=1)
         return shape
 

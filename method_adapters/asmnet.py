@@ -1,7 +1,8 @@
 """``asmnet``: ASM-Net, pose and shape by parametric deformation (Akizuki & Hashimoto, BMVC 2021).
 
-Written from the paper; from depth and mask alone. A network estimates orientation, scale and the
-coefficients of an active shape model from the visible points; ICP then moves the shape onto them.
+Written from descriptions of the method, not from its code. From depth and mask alone a network
+estimates orientation, scale and the coefficients of an active shape model; ICP then moves the shape
+onto the visible points.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """``icaps``: Iterative Category-level Object Pose and Shape Estimation (Deng et al., RA-L 2022).
 
-Written from the paper; from depth and mask alone. A particle filter compares depth crops with a
-codebook of rotations; then a latent shape and the pose improve each other. A sequence can be
-tracked.
+Written from descriptions of the method, not from its code. From depth and mask alone a particle
+filter compares crops with a codebook of rotations; then a latent shape and the pose improve each
+other. A sequence can be tracked.
 """
 
 from __future__ import annotations

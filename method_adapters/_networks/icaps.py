@@ -66,7 +66,7 @@ class Decoder(nn.Module):
 
 
 class AutoEncoder(nn.Module):
-    """The depth auto-encoder (section III-A of the paper); poses need the encoder alone."""
+    """The depth auto-encoder; poses need the encoder alone."""
 
     def __init__(self) -> None:
         super().__init__()

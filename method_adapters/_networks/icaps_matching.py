@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from method_adapters._assets import AssetError
 from method_adapters._networks.icaps import CODE_SIZE, CROP_SIDE, AutoEncoder
 from method_adapters._networks.roi_align import roi_align
-from method_adapters._networks.running import read_tensors
+from method_adapters._networks.running import full_precision, read_tensors
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class Matcher:
         device = self.codebook.codes.device
         image = torch.from_numpy(np.stack([depth, depth > 0]).astype(np.float32)).to(device)
         given = [torch.from_numpy(x.astype(np.float32)).to(device) for x in (rois, z, radius)]
-        with torch.inference_mode():
+        with torch.inference_mode(), full_precision():
             parts = [
                 self._similarities(normalised_crops(image, *part))
                 for part in zip(*(torch.split(x, CHUNK) for x in given), strict=True)

@@ -1,4 +1,4 @@
-"""Pose and shape of iCaps, refined in turns (section III-C of the paper)."""
+"""Pose and shape of iCaps, refined in turns."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from method_adapters._networks.icaps import POINT_COUNT, DeepSdf, LatentNet, Shape
 from method_adapters._networks.pointnet2 import farthest_points
+from method_adapters._networks.running import full_precision
 
 Array = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ class Refiner:
 
     def shape_of(self, coordinates: Tensor) -> Shape:
         """The shape of an object seen at (4873, 3), model units."""
-        with torch.inference_mode():
+        with torch.inference_mode(), full_precision():
             (latent,) = self._latent_net(coordinates[None] / self._ratio)
         return Shape(self._decoder, latent)
 
