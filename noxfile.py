@@ -144,6 +144,13 @@ def docs_figures(session: nox.Session) -> None:
 
 
 @nox.session
+def browser(session: nox.Session) -> None:
+    """The page of a report in headless Chromium, which must be installed; ``-- -k looks``."""
+    install(session, "-e", ".", "--group", "test")
+    session.run("pytest", "tests/browser_report.py", *session.posargs, env=os.environ | ENV)
+
+
+@nox.session
 def faults(session: nox.Session) -> None:
     """Plant every fault of the catalogues, in metrics and in a method; every check catches one."""
     install(session, "-e", ".", "--group", "test")

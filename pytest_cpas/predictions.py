@@ -29,6 +29,7 @@ from pytest_cpas._safe_pickle import load_numpy_pickle
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.evaluation import Row, Run, SampleError, Selection, measure
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
+from pytest_cpas.published import STORED
 from pytest_cpas.types import (
     CATEGORIES,
     Array,
@@ -189,7 +190,7 @@ class StoredRun(Run):
                 samples.append(SampleRef(ref_id, CATEGORIES[class_id - 1], scene or number))
         super().__init__(
             re.sub(r"[^A-Za-z0-9._-]", "-", path.stem if path.is_file() else path.name),
-            "stored",
+            STORED,
             samples,
             selection=selection,
             identity={"data": digest.hexdigest()},

@@ -19,6 +19,9 @@ from pytest_cpas.comparison import Verdict, Word
 from pytest_cpas.golden import shipped_golden
 from pytest_cpas.metrics.precision import Count, JointThreshold
 
+#: What stored predictions call their data set.
+STORED = "stored"
+
 #: Probability that a run that is as good as the published one is called worse.
 FALSE_ALARMS = 0.01
 
@@ -67,6 +70,20 @@ def published_curves(dataset: str, method: str) -> dict[str, list[tuple[float, C
             points = curves.setdefault(line["threshold_on"], [])
             points.append((float(line["threshold"]), count))
     return curves
+
+
+def published_name(dataset: str, listed: Mapping[str, int]) -> str | None:
+    """The data set of the paper that a run's samples are of; None if it is none of them.
+
+    Stored predictions do not say what they were made on; the numbers of samples per category do.
+    """
+    if published_methods(dataset):
+        return dataset
+    if dataset == STORED:
+        for name in sorted({line["dataset"] for line in _read("precision.csv")}):
+            if published_sample_counts(name) == dict(listed):
+                return name
+    return None
 
 
 def published_sample_counts(dataset: str) -> dict[str, int]:

@@ -20,11 +20,12 @@ from pytest_cpas.cli import main
 from pytest_cpas.comparison import Verdict, Word, compare
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
+from pytest_cpas.published import published_name
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
-from pytest_cpas.report.tables import precision_tables
+from pytest_cpas.report.tables import groups, precision_table
 from pytest_cpas.results import read_results
 
 SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
@@ -153,8 +154,9 @@ def test_several_methods_are_ranked_and_failing_ones_first(recorded, pytester):
     content = json.loads((pytester.path / "out" / "report.json").read_text())
     jsonschema.validate(content, SCHEMA)
     assert [run["outcome"] for run in content["runs"]] == ["skipped", "passed"]
-    ((name, lines),) = precision_tables(content)
-    assert name == "tiny"
+    ((name, runs, published),) = groups(content)
+    lines = precision_table(content["thresholds"], runs, published)
+    assert (name, published) == ("tiny", {})
     assert [line.method for line in lines] == ["only-pose", "perfect"]
     # a tie, and a column that only one method has
     assert [[cell and cell.rank for cell in line.cells] for line in lines] == [
@@ -385,7 +387,8 @@ def test_published_curves_stand_beside_the_measured_ones():
     )
     content = document([found], 0)
     jsonschema.validate(content, SCHEMA)
-    lines = curve_lines(content, "real275")
+    ((_, runs, published),) = groups(content)
+    lines = curve_lines(published, runs)
     assert [line.paper for line in lines] == [True] * 9 + [False]
     assert lines[-1].colour == next(x.colour for x in lines if x.method == "spd" and x.paper)
     figure = list(charts(lines))[1]
@@ -396,7 +399,7 @@ def test_published_curves_stand_beside_the_measured_ones():
         for polyline in figure.iter("polyline")
     }
     with (shipped_golden() / "published" / "curves.csv").open() as file:
-        published = [
+        points = [
             (int(x["threshold"]), int(x["correct"]) / int(x["total"]))
             for x in csv.DictReader(file)
             if (x["dataset"], x["method"], x["threshold_on"]) == ("real275", "spd", "rotation_deg")
@@ -404,9 +407,18 @@ def test_published_curves_stand_beside_the_measured_ones():
     ys = sorted({float(line.get("y1")) for line in figure.iter("line") if line.get("x1") == "40"})
     top, bottom = ys[0], ys[-1]  # 100 % and 0 %
     left, right = drawn["spd (paper)"][0][0], drawn["spd (paper)"][-1][0]
-    assert len(published) == len(drawn["spd (paper)"]) == 21
-    for (limit, share), (x, y) in zip(published, drawn["spd (paper)"], strict=True):
+    assert len(points) == len(drawn["spd (paper)"]) == 21
+    for (limit, share), (x, y) in zip(points, drawn["spd (paper)"], strict=True):
         assert x == pytest.approx(left + (right - left) * limit / 20, abs=0.06)
         assert y == pytest.approx(bottom + (top - bottom) * share, abs=0.06)
     # all ten samples are 4 degrees off
     assert [y for _, y in drawn["spd"]] == [bottom] * 4 + [top] * 17
+
+
+def test_paper_is_named_for_stored_predictions_of_its_samples():
+    """REAL275's numbers of samples per category, and one sample fewer."""
+    counts = {"bottle": 2757, "bowl": 2370, "camera": 2669, "can": 2729, "laptop": 2754}
+    assert published_name("stored", counts | {"mug": 2839}) == "real275"
+    assert published_name("stored", counts | {"mug": 2838}) is None
+    assert published_name("other", counts | {"mug": 2839}) is None
+    assert published_name("real275", counts) == "real275"

@@ -32,13 +32,11 @@ class Line:
     curves: Mapping[str, Sequence[Document] | None]
 
 
-def curve_lines(document: Document, dataset: str) -> list[Line]:
-    """The curves of a data set: the paper's, then on top of them the measured ones.
+def curve_lines(published: Document, runs: Sequence[Document]) -> list[Line]:
+    """The curves of runs on one data set: the paper's, then on top of them the measured ones.
 
     A method has one colour, measured and in the paper.
     """
-    published = document["published"].get(dataset, {})
-    runs = [run for run in document["runs"] if run["dataset"] == dataset]
     names = list(dict.fromkeys([*published, *(run["method"] for run in runs)]))
     colours = {name: index % _COLOURS for index, name in enumerate(names)}
     return [

@@ -24,6 +24,7 @@ from pytest_cpas.published import (
     published_cells,
     published_curves,
     published_methods,
+    published_name,
 )
 
 FORMAT = 1
@@ -53,8 +54,7 @@ def document(runs: Sequence[Document], failed_items: int) -> Document:
         "runs": sorted(runs, key=lambda run: SEVERITY.index(run["outcome"])),
         "published": {
             name: _published(name)
-            for name in sorted({run["dataset"] for run in runs})
-            if published_methods(name)
+            for name in sorted({run["published_as"] for run in runs} - {None})
         },
     }
 
@@ -79,6 +79,7 @@ def run_document(
     if golden is not None and differences(golden.identity, new.identity):
         golden = None
     old = golden.samples if golden else {}
+    published = published_name(run.dataset, run.listed)
     problems = [
         *run.damaged,
         *count_problems(run.dataset, run.listed, partial=bool(run.missing)).values(),
@@ -97,6 +98,7 @@ def run_document(
     return {
         "method": run.method,
         "dataset": run.dataset,
+        "published_as": published,
         "outcome": "failed" if broken else worst(v["outcome"] for v in told_verdicts),
         "judged": len(rows),
         "listed": sum(run.listed.values()),
@@ -114,7 +116,7 @@ def run_document(
         "precision": _precision(
             new.table,
             golden.table if golden else {},
-            published_cells(run.dataset, run.method),
+            published_cells(published, run.method) if published else [],
         ),
         "curves": _curves(rows),
         "flips": [

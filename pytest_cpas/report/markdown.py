@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.tables import Cell, category_lines, percent, precision_tables
+from pytest_cpas.report.tables import Cell, category_lines, groups, percent, precision_table
 from pytest_cpas.report.words import (
     contract_words,
     flip_words,
@@ -45,13 +45,15 @@ def _lines(document: Document) -> Iterator[str]:
     )
     for run in document["runs"]:
         yield from _told(run)
-    for dataset, lines in precision_tables(document):
-        yield f"## {_escape(dataset)}"
+    for title, runs, published in groups(document):
+        yield f"## {_escape(title)}"
         yield ""
-        names = [_escape(line.method) + (" (paper)" if line.paper else "") for line in lines]
         yield from _table(
             ["correct", *document["thresholds"]],
-            [[name, *map(_cell, line.cells)] for name, line in zip(names, lines, strict=True)],
+            [
+                [_escape(line.method) + (" (paper)" if line.paper else ""), *map(_cell, line.cells)]
+                for line in precision_table(document["thresholds"], runs, published)
+            ],
         )
     for run in document["runs"]:
         yield from _categories(run, document["thresholds"])

@@ -119,7 +119,7 @@
 
   form.addEventListener("input", () => { shown = STEP; toFragment(); draw(); });
   form.addEventListener("submit", (event) => event.preventDefault());
-  document.getElementById("reset").addEventListener("click", () => {
+  document.getElementById("clear").addEventListener("click", () => {
     form.reset(); shown = STEP; toFragment(); draw();
   });
   more.addEventListener("click", () => { shown += STEP; draw(); });

@@ -16,7 +16,7 @@ from urllib.parse import urlencode
 from pytest_cpas.report._html import Child, Element, element, page_text
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import SEVERITY, Document
-from pytest_cpas.report.tables import Cell, Line, category_lines, percent, precision_tables
+from pytest_cpas.report.tables import Cell, category_lines, groups, percent, precision_table
 from pytest_cpas.report.words import (
     contract_words,
     flip_words,
@@ -45,11 +45,11 @@ def page(document: Document) -> str:
         details[:failed],
         [
             part
-            for dataset, lines in precision_tables(document)
+            for title, members, published in groups(document)
             for part in (
-                element("h2", f"Precision on {dataset}"),
-                _precision_table(document["thresholds"], lines),
-                element("div", list(charts(curve_lines(document, dataset))), class_="charts"),
+                element("h2", f"Precision on {title}"),
+                _precision_table(document["thresholds"], members, published),
+                element("div", list(charts(curve_lines(published, members))), class_="charts"),
             )
         ],
         element("h2", "Runs without failures") if details[failed:] else None,
@@ -144,7 +144,9 @@ def _table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = Fals
     )
 
 
-def _precision_table(thresholds: Sequence[str], lines: Sequence[Line]) -> Element:
+def _precision_table(
+    thresholds: Sequence[str], runs: Sequence[Document], published: Document
+) -> Element:
     return _table(
         ["correct at", *thresholds],
         [
@@ -154,7 +156,7 @@ def _precision_table(thresholds: Sequence[str], lines: Sequence[Line]) -> Elemen
                 [_precision_cell(cell) for cell in line.cells],
                 class_="paper" if line.paper else None,
             )
-            for line in lines
+            for line in precision_table(thresholds, runs, published)
         ],
     )
 
@@ -272,7 +274,7 @@ def _samples(several: bool) -> Element:
             choice("at", "at", "any threshold"),
             choice("order", "order", "by name", worst="worst first"),
             element("label", "name contains", element("input", name="name", type="search")),
-            element("button", "reset", type="button", id="reset"),
+            element("button", "reset", type="button", id="clear"),
             id="filters",
         ),
         element("p", class_="faint", id="told", aria_live="polite"),

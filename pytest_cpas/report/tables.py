@@ -31,30 +31,36 @@ class Line:
     cells: Sequence[Cell | None]
 
 
-def precision_tables(document: Document) -> Iterator[tuple[str, list[Line]]]:
-    """Per data set the table over all categories: the measured methods, then the paper's.
+def groups(document: Document) -> Iterator[tuple[str, list[Document], Document]]:
+    """Per data set its title, its runs, and the paper's tables by method (empty if none)."""
+    members: dict[tuple[str, str | None], list[Document]] = {}
+    for run in document["runs"]:
+        members.setdefault((run["dataset"], run["published_as"]), []).append(run)
+    for (dataset, name), runs in members.items():
+        other = "" if name in (None, dataset) else f" (as many samples as {name})"
+        yield dataset + other, runs, document["published"].get(name, {})
+
+
+def precision_table(
+    thresholds: Sequence[str], runs: Sequence[Document], published: Document
+) -> list[Line]:
+    """The table of one data set over all categories: the measured methods, then the paper's.
 
     The best three of a column are marked among those that were judged on as many samples as any;
     a single method is not marked.
     """
-    for dataset in dict.fromkeys(run["dataset"] for run in document["runs"]):
-        lines = [
-            (run["method"], False, _overall(run["precision"], "measured", document))
-            for run in document["runs"]
-            if run["dataset"] == dataset
-        ]
-        lines += [
-            (method, True, _overall(entry["precision"], "published", document))
-            for method, entry in document["published"].get(dataset, {}).items()
-        ]
-        columns = [_ranked(column) for column in zip(*(cells for *_, cells in lines), strict=True)]
-        yield (
-            dataset,
-            [
-                Line(method, paper, cells)
-                for (method, paper, _), cells in zip(lines, zip(*columns, strict=True), strict=True)
-            ],
-        )
+    lines = [
+        (run["method"], False, _overall(run["precision"], "measured", thresholds)) for run in runs
+    ]
+    lines += [
+        (method, True, _overall(entry["precision"], "published", thresholds))
+        for method, entry in published.items()
+    ]
+    columns = [_ranked(column) for column in zip(*(cells for *_, cells in lines), strict=True)]
+    return [
+        Line(method, paper, cells)
+        for (method, paper, _), cells in zip(lines, zip(*columns, strict=True), strict=True)
+    ]
 
 
 def category_lines(run: Document) -> Iterator[tuple[str, list[Document]]]:
@@ -68,16 +74,15 @@ def percent(count: Document) -> str:
     return _cell(count).percent
 
 
-def _overall(entries: Sequence[Document], kind: str, document: Document) -> list[Cell | None]:
+def _overall(
+    entries: Sequence[Document], kind: str, thresholds: Sequence[str]
+) -> list[Cell | None]:
     counts = {
         entry["threshold"]: entry[kind]
         for entry in entries
         if entry["category"] == "all" and entry[kind] is not None
     }
-    return [
-        _cell(counts[threshold]) if threshold in counts else None
-        for threshold in document["thresholds"]
-    ]
+    return [_cell(counts[threshold]) if threshold in counts else None for threshold in thresholds]
 
 
 def _cell(count: Document) -> Cell:
