@@ -94,6 +94,8 @@ def ports(session: nox.Session) -> None:
         "--cpas-method=rbppose",
         "--cpas-dataset=synthetic-handheld",
         f"--cpas-weights={likely}",
+        "--cpas-golden=tests/ports/golden",
+        "--cpas-require-golden",
         "--numprocesses=2",
         "--quiet",
         env=ENV,

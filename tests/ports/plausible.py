@@ -1,7 +1,11 @@
 """Random weights with which CASS and RBP-Pose answer with objects of a likely size where the depth
 is, so that the contract checks apply to them.
 
-``python tests/ports/plausible.py DIR`` writes a folder for ``--cpas-weights``.
+``python tests/ports/plausible.py DIR`` writes a folder for ``--cpas-weights``; with it, golden/
+beside this file has the golden tables of
+
+    pytest --cpas-method cass --cpas-method rbppose --cpas-dataset synthetic-handheld \\
+        --cpas-weights=DIR --cpas-golden tests/ports/golden --cpas-require-golden
 """
 
 import sys
