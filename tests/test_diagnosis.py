@@ -320,9 +320,8 @@ SIMPLY_BAD = (
 
 
 @pytest.mark.parametrize("make", SIMPLY_BAD)
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_is_said_of_a_method_that_is_simply_bad(original, make, seed):
-    assert diagnose(make(original, np.random.default_rng(seed))) == []
+def test_nothing_is_said_of_a_method_that_is_simply_bad(original, make):
+    assert diagnose(make(original, np.random.default_rng(0))) == []
 
 
 @pytest.mark.parametrize("start", range(0, 800, 160))

@@ -70,30 +70,33 @@ def test_millimetres_stop_at_the_contract(skeleton, pytester):
     result.stdout.fnmatch_lines(["the adapter is wrong*metric_units*looks like millimetres*"])
 
 
-#: A method of quality in the skeleton, in NOCS's axes.
-ICP = {
-    "import": ("import numpy as np", "import numpy as np\n\nfrom method_adapters.icp import Icp"),
+#: A method that knows the truth, in NOCS's axes.
+ORACLE = {
+    "import": (
+        "import numpy as np",
+        "import numpy as np\n\nfrom pytest_cpas.datasets.synthetic import SyntheticHandheld",
+    ),
     "load": (
         '        """Called once.',
-        '        self.icp = Icp()\n        self.icp.load(None, device)\n        """Called once.',
+        "        dataset = SyntheticHandheld(None)\n"
+        "        samples = [dataset.load(ref) for ref in dataset.samples]\n"
+        "        self.truths = {s.observation.mask.tobytes(): s.truth for s in samples}\n"
+        '        """Called once.',
     ),
     "answer": (
         "        points = observation",
-        "        (found,) = self.icp.predict([observation], 0)\n"
-        "        if not found.hypotheses:\n"
-        "            return found\n"
-        "        best = found.hypotheses[0]\n"
+        "        truth = self.truths[observation.mask.tobytes()]\n"
         "        axes = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])\n"
-        "        extents = best.extents[[2, 1, 0]]\n"
-        "        rotation = best.rotation @ axes\n"
-        "        return Prediction((Hypothesis(rotation, best.translation, extents),))\n"
+        "        rotation, translation = truth.pose.rotation @ axes, truth.pose.translation\n"
+        "        extents = truth.extents[[2, 1, 0]]\n"
+        "        return Prediction((Hypothesis(rotation, translation, extents),))\n"
         "        points = observation",
     ),
 }
 
 
 def test_another_object_frame_is_named_and_the_line_to_change_helps(skeleton, pytester):
-    edit(pytester, **ICP)
+    edit(pytester, **ORACLE)
     wrong = skeleton("test_my_method.py", "-k", "half")
     wrong.assert_outcomes(failed=1, deselected=23)
     wrong.stdout.fnmatch_lines(
