@@ -159,7 +159,7 @@ def content():
 @pytest.fixture(scope="module")
 def address(content, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    write_report(content, folder)
+    write_report(content, folder, {})
     return (folder / "report.html").as_uri()
 
 

@@ -4,6 +4,7 @@ import base64
 import copy
 import csv
 import hashlib
+import io
 import json
 import math
 import re
@@ -11,13 +12,16 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 from harness import RUN
+from PIL import Image
 from tables import GOLDEN, REFS, Fixed, a_run, rows
 
 import pytest_cpas.report
 from pytest_cpas.cli import main
 from pytest_cpas.comparison import Verdict, Word, compare
+from pytest_cpas.estimates import encode_estimate
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.published import published_name
@@ -25,8 +29,19 @@ from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
+from pytest_cpas.report.pictures import ESTIMATE_COLOUR, TRUTH_COLOUR, draw
 from pytest_cpas.report.tables import groups, precision_table
 from pytest_cpas.results import read_results
+from pytest_cpas.types import (
+    Camera,
+    GroundTruth,
+    Hypothesis,
+    Observation,
+    Pose,
+    Sample,
+    SampleRef,
+    Symmetry,
+)
 
 SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
 
@@ -254,7 +269,7 @@ def strip(content: dict) -> dict:
     shard checks the contract on samples of its own."""
     for run in content["runs"]:
         for result in run["contract"]:
-            result["message"] = ""
+            result["message"] = result["status"] = ""
         run["findings"] = []
         for verdict in run["verdicts"]:
             verdict["details"] = verdict["details"].split("\n")[0]
@@ -286,7 +301,7 @@ def test_report_that_cannot_be_written_fails_the_run(recorded, pytester):
 class Page(HTMLParser):
     """Elements of a page by tag, with the text that stands in them."""
 
-    VOID = ("meta", "input", "br")
+    VOID = ("meta", "input", "img")
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -318,7 +333,7 @@ def listed_samples(text: str) -> dict:
 
 def test_page_holds_the_numbers_of_the_document():
     content = a_document(rows(s_03=7.0, s_04=30.0), GOLDEN)
-    text = page(content)
+    text = page(content, {})
     told = Page(text).text
     for cell in content["runs"][0]["precision"]:
         count = cell["measured"]
@@ -346,7 +361,7 @@ def test_page_of_hostile_text():
     )
     content["runs"][0]["method"] = hostile
     content["runs"][0]["samples"][1]["category"] = hostile
-    text = page(content)
+    text = page(content, {})
     parsed = Page(text)
     tags = [tag for tag, _ in parsed.found]
     assert tags.count("script") == 2
@@ -360,7 +375,7 @@ def test_page_of_hostile_text():
 
 
 def test_page_loads_nothing_and_admits_its_script_only():
-    text = page(a_document(rows(), GOLDEN))
+    text = page(a_document(rows(), GOLDEN), {})
     parsed = Page(text)
     assert not re.search(r"https?://|url\(|@import", text)
     for tag, attributes in parsed.found:
@@ -369,7 +384,8 @@ def test_page_loads_nothing_and_admits_its_script_only():
         assert attributes.get("href", "#").startswith("#")
     (script,) = re.findall(r"<script>(.*?)</script>", text, re.S)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'" in text
+    policy = f"img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    assert f"default-src 'none'; {policy}" in text
 
 
 def test_published_curves_stand_beside_the_measured_ones():
@@ -422,3 +438,72 @@ def test_paper_is_named_for_stored_predictions_of_its_samples():
     assert published_name("stored", counts | {"mug": 2838}) is None
     assert published_name("other", counts | {"mug": 2839}) is None
     assert published_name("real275", counts) == "real275"
+
+
+def a_sample(pose: Pose, extents: list[float]) -> Sample:
+    """Grey, 200 x 160, the mask in the middle."""
+    camera = Camera(200, 160, 220.0, 220.0, 99.5, 79.5)
+    mask = np.zeros((160, 200), bool)
+    mask[70:90, 90:110] = True
+    rgb = np.full((160, 200, 3), 0.5, np.float32)
+    observation = Observation("mug", rgb, np.ones((160, 200), np.float32), mask, camera)
+    ref = SampleRef("s/00", "mug", "s")
+    return Sample(ref, observation, GroundTruth(pose, extents, Symmetry.none(), None))
+
+
+def coloured(jpeg: bytes, colour: tuple[int, int, int]) -> np.ndarray:
+    """Left, top, right and bottom of a colour, as shares of the picture."""
+    image = np.asarray(Image.open(io.BytesIO(jpeg))).astype(int)
+    rows, columns = np.nonzero(abs(image - colour).max(axis=2) < 60)
+    height, width = image.shape[:2]
+    ends = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+    return np.array(ends) / (width, height, width, height)
+
+
+def test_boxes_are_drawn_where_the_corners_project():
+    """Facing the camera, the nearer face of a box is its outline: by similar triangles."""
+    sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
+    moved = encode_estimate(Hypothesis(np.eye(3), [0.03, 0.02, 1.0], [0.1, 0.06, 0.1]))
+    picture = draw(sample, moved)
+    # 0.9 m in front: half 0.1 m and 0.05 m wide; what is shown is 35 % wider on either side
+    across, up = 220 * 0.1 / 0.9, 220 * 0.05 / 0.9
+    margin = 1 + 0.35 * 2 * across
+    left, top = np.floor(99.5 - across - margin), np.floor(79.5 - up - margin)
+    right, bottom = np.ceil(99.5 + across + margin) + 1, np.ceil(79.5 + up + margin) + 1
+    size = np.array([right - left, bottom - top])
+
+    def shares(x, y, half_width, half_height, distance):
+        middle = np.array([99.5, 79.5]) + 220 * np.array([x, y]) / distance
+        half = 220 * np.array([half_width, half_height]) / distance
+        # the middle of a pixel is half a pixel from its edge
+        return np.concatenate([middle - half, middle + half]) + 0.5
+
+    for colour, expected in (
+        (TRUTH_COLOUR, shares(0, 0, 0.1, 0.05, 0.9)),
+        (ESTIMATE_COLOUR, shares(0.03, 0.02, 0.05, 0.03, 0.95)),
+    ):
+        told = (expected - [left, top, left, top]) / [*size, *size]
+        assert coloured(picture, colour) == pytest.approx(told, abs=0.02), colour
+
+
+@pytest.mark.parametrize(
+    "translation", [[0, 0, -1.0], [0, 0, 1e-30], [1e30, 0, 1.0], [0, 0, 1e300], [50.0, 0, 0.2]]
+)
+def test_absurd_estimates_leave_the_truth(translation):
+    sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
+    estimate = encode_estimate(Hypothesis(np.eye(3), translation, [0.1, 0.1, 0.1]))
+    assert coloured(draw(sample, estimate), TRUTH_COLOUR) == pytest.approx(
+        coloured(draw(sample, None), TRUTH_COLOUR), abs=0.01
+    )
+
+
+def test_page_shows_lost_and_worst_samples(report, pytester):
+    content, *_ = report("Biased")
+    text = (pytester.path / "out" / "report.html").read_text()
+    images = [attributes for tag, attributes in Page(text).found if tag == "img"]
+    lost = [flip["sample"] for flip in content["runs"][0]["flips"]]
+    assert [image["alt"] for image in images] == [f"boxes in {name}" for name in lost]
+    for image in images:
+        kind, _, data = image["src"].partition(",")
+        assert kind == "data:image/jpeg;base64"
+        assert Image.open(io.BytesIO(base64.b64decode(data))).format == "JPEG"

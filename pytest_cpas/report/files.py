@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 from pytest_cpas._files import write_text
@@ -11,12 +12,16 @@ from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
 
 
-def write_report(document: Document, folder: Path) -> None:
+def write_report(
+    document: Document, folder: Path, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]
+) -> None:
     """Write ``report.json``, ``report.md`` and ``report.html``, each as a whole or not at all.
+
+    ``pictures``: JPEG files by method and data set, and by sample, for the page.
 
     Raises :class:`OSError` if a disk does not take them.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     write_text(folder / "report.md", markdown(document))
-    write_text(folder / "report.html", page(document))
+    write_text(folder / "report.html", page(document, pictures))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from urllib.parse import urlencode
 
@@ -33,10 +33,13 @@ _FLIPS = 50
 _UNFOLDED = 2
 
 
-def page(document: Document) -> str:
-    """The text of ``report.html``."""
+def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]) -> str:
+    """The text of ``report.html``; ``pictures``: JPEG files by method and data set, and sample."""
     runs = document["runs"]
-    details = [_run(run, index, document) for index, run in enumerate(runs)]
+    details = [
+        _run(run, index, document, pictures.get((run["method"], run["dataset"]), {}))
+        for index, run in enumerate(runs)
+    ]
     failed = sum(run["outcome"] == "failed" for run in runs)
     script = _asset("page.js")
     main: list[Child] = [
@@ -59,7 +62,8 @@ def page(document: Document) -> str:
         element("script", script),
     ]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    admitted = f"img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    policy = f"default-src 'none'; {admitted}"
     head = element(
         "head",
         element("meta", charset="utf-8"),
@@ -173,12 +177,13 @@ def _precision_cell(cell: Cell | None) -> Element:
     )
 
 
-def _run(run: Document, index: int, document: Document) -> Element:
+def _run(run: Document, index: int, document: Document, pictures: Mapping[str, bytes]) -> Element:
     opened = run["outcome"] == "failed" or len(document["runs"]) <= _UNFOLDED
     return element(
         "details",
         element("summary", f"{_name(run)} ", _badge(run["outcome"])),
         list(_told(run)),
+        _gallery(run, pictures) if pictures else None,
         element("h3", "Per category"),
         _category_table(run, document["thresholds"]),
         element("p", contract_words(run["contract"]), class_="faint"),
@@ -221,6 +226,37 @@ def _told(run: Document) -> Iterator[Element]:
         )
         if len(run["flips"]) > _FLIPS:
             yield element("p", f"and {len(run['flips']) - _FLIPS} more", class_="faint")
+
+
+def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
+    samples = {sample["sample"]: sample for sample in run["samples"]}
+    figures = []
+    for name, content in pictures.items():
+        sample = samples[name]
+        if sample["position_m"] is None or sample["rotation_deg"] is None:
+            words = f"no answer: {sample['failure']}" if sample["failure"] else "no errors"
+        else:
+            words = f"{100 * sample['position_m']:.2f} cm, {sample['rotation_deg']:.1f} deg"
+            words += "" if sample["fscore_1cm"] is None else f", F {sample['fscore_1cm']:.2f}"
+        source = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+        figures.append(
+            element(
+                "figure",
+                element("img", src=source, alt=f"boxes in {name}", loading="lazy"),
+                element("figcaption", f"{sample['category']} {name}", element("small", words)),
+            )
+        )
+    return (
+        element("h3", f"Lost and worst samples ({len(figures)})"),
+        element(
+            "p",
+            "Boxes: ",
+            element("span", "truth", class_="truth"),
+            ", ",
+            element("span", "estimate", class_="estimate"),
+        ),
+        element("div", figures, class_="gallery"),
+    )
 
 
 def _category_table(run: Document, thresholds: Sequence[str]) -> Element:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.document import SEVERITY, Document
 
 
@@ -46,7 +47,12 @@ def contract_words(results: Sequence[Document]) -> str:
 def flip_words(flip: Document) -> str:
     """At which thresholds a sample is judged otherwise than by the golden table."""
     kinds = (("lost", flip["lost"]), ("gained", flip["gained"]), ("n/a changed", flip["changed"]))
-    return ". ".join(f"{kind} at {'; '.join(labels)}" for kind, labels in kinds if labels)
+    every = len(THRESHOLDS)
+    return ". ".join(
+        f"{kind} at {'every threshold' if len(labels) == every else '; '.join(labels)}"
+        for kind, labels in kinds
+        if labels
+    )
 
 
 def golden_words(run: Document) -> str:

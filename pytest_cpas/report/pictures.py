@@ -1,0 +1,129 @@
+"""Pictures of lost and bad samples: colour, with the boxes of truth and estimate."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from pytest_cpas.estimates import decode_estimates
+from pytest_cpas.evaluation import MethodRun, Row
+from pytest_cpas.report.document import Document
+from pytest_cpas.types import Array, Camera, ContractError, Sample
+
+#: Pictures of one run. A picture takes about 10 kB, and two hundred shall stay below 10 MB.
+COUNT = 24
+
+#: The longer side of a picture, pixels.
+_SIDE = 256
+
+#: What is shown around the object, as a share of its size.
+_AROUND = 0.35
+
+#: No line is drawn to a corner further outside than this, pixels of the picture.
+_FAR = 10 * _SIDE
+
+TRUTH_COLOUR, ESTIMATE_COLOUR = (0, 200, 255), (255, 140, 0)
+
+_CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+_EDGES = [
+    (a, b)
+    for a, b in itertools.combinations(range(8), 2)
+    if (_CORNERS[a] != _CORNERS[b]).sum() == 1
+]
+
+
+def pictures(run: MethodRun, rows: Mapping[str, Row], told: Document) -> dict[str, bytes]:
+    """JPEG pictures of a run's lost samples and then of its worst, by sample.
+
+    ``told``: the run's document. Samples that cannot be read again have none.
+    """
+    refs = {ref.id: ref for ref in run.samples}
+    drawn: dict[str, bytes] = {}
+    for name in _chosen(told):
+        try:
+            drawn[name] = draw(run.read(refs[name]), rows[name].estimate)
+        except ContractError:  # judged when it was not yet damaged
+            continue
+    return drawn
+
+
+def _chosen(told: Document) -> list[str]:
+    lost = [flip["sample"] for flip in told["flips"] if flip["lost"]]
+    wrong = [sample for sample in told["samples"] if "0" in (sample["outcome"] or "")]
+    wrong.sort(key=lambda sample: (sample["outcome"].count("1"), -_size(sample)))
+    return list(dict.fromkeys([*lost, *(sample["sample"] for sample in wrong)]))[:COUNT]
+
+
+def _size(sample: Document) -> float:
+    """How wrong a pose is, with 2 cm as bad as 10 degrees."""
+    errors = sample["position_m"], sample["rotation_deg"]
+    if None in errors:
+        return math.inf
+    return float(max(errors[0] / 0.02, errors[1] / 10))
+
+
+def draw(sample: Sample, estimate: str | None) -> bytes:
+    """The colour image around the object, with the box of the truth and that of the estimate.
+
+    ``estimate`` as on a row; None draws the truth alone, and so does one without extents.
+    """
+    observation, truth = sample.observation, sample.truth
+    camera = observation.camera
+    true_box = _box(camera, truth.pose.rotation, truth.pose.translation, truth.extents)
+    left, top, right, bottom = _window(observation.mask, true_box, camera)
+    colour = np.round(255 * observation.rgb[top:bottom, left:right]).astype(np.uint8)
+    scale = _SIDE / max(right - left, bottom - top)
+    size = max(1, round(scale * (right - left))), max(1, round(scale * (bottom - top)))
+    image = Image.fromarray(colour).resize(size, Image.Resampling.BICUBIC)
+    # pixel coordinates count from the middle of the first pixel
+    shift = np.array([left, top]) - 0.5
+    if true_box is not None:
+        _draw_box(image, scale * (true_box - shift), TRUTH_COLOUR, 3)
+    if estimate is not None:
+        answer = decode_estimates([estimate])
+        box = _box(camera, answer.rotation[0], answer.translation[0], answer.extents[0])
+        if box is not None:
+            _draw_box(image, scale * (box - shift), ESTIMATE_COLOUR, 2)
+    text = io.BytesIO()
+    image.save(text, "JPEG", quality=80)
+    return text.getvalue()
+
+
+def _box(camera: Camera, rotation: Array, translation: Array, extents: Array) -> Array | None:
+    """The corners (8, 2) in pixels; None if one is not in front of the camera, or not known."""
+    corners = (_CORNERS * extents) @ rotation.T + translation
+    if not np.isfinite(corners).all() or (corners[:, 2] <= 0).any():
+        return None
+    return camera.project(corners)
+
+
+def _window(
+    mask: NDArray[np.bool_], box: Array | None, camera: Camera
+) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of what is shown: the mask and the true box, and some more."""
+    rows, columns = np.nonzero(mask)
+    parts = [np.stack([columns, rows], axis=1).astype(float)] if len(rows) else []
+    parts += [box] if box is not None else []
+    if not parts:
+        return 0, 0, camera.width, camera.height
+    points = np.concatenate(parts)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 1 + _AROUND * (high - low).max()
+    limits = np.array([camera.width, camera.height])
+    first = np.clip(np.floor(low - margin), 0, limits - 1).astype(int)
+    last = np.clip(np.ceil(high + margin) + 1, first + 1, limits).astype(int)
+    return int(first[0]), int(first[1]), int(last[0]), int(last[1])
+
+
+def _draw_box(image: Image.Image, corners: Array, colour: tuple[int, int, int], width: int) -> None:
+    draw = ImageDraw.Draw(image)
+    for a, b in _EDGES:
+        ends = corners[[a, b]]
+        if (abs(ends) < _FAR).all():
+            draw.line([*ends.ravel().tolist()], fill=colour, width=width)
