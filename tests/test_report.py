@@ -507,3 +507,21 @@ def test_page_shows_lost_and_worst_samples(report, pytester):
         kind, _, data = image["src"].partition(",")
         assert kind == "data:image/jpeg;base64"
         assert Image.open(io.BytesIO(base64.b64decode(data))).format == "JPEG"
+
+
+def test_axes_tell_a_box_that_is_turned_round():
+    """The lines of a box point to its right and its upper side, wherever that has gone."""
+    sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.2, 0.2])
+    size = np.asarray(Image.open(io.BytesIO(draw(sample, None)))).shape[0]
+    for turn in (np.diag([-1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, -1.0]), np.eye(3)):
+        jpeg = draw(sample, encode_estimate(Hypothesis(turn, [0, 0, 1.0], [0.2, 0.2, 0.2])))
+        image = np.asarray(Image.open(io.BytesIO(jpeg))).astype(int)
+        found = abs(image - ESTIMATE_COLOUR).max(axis=2) < 70
+        # between the middle and the nearest edge of the further face
+        for axis in (0, 1):
+            for side in (-1, 1):
+                point = np.array([0.5, 0.5])
+                point[axis] += side * 0.08
+                x, y = (size * point).astype(int)
+                there = found[y - 4 : y + 5, x - 4 : x + 5].any()
+                assert there == (turn[axis, axis] == side), (turn, axis, side)

@@ -254,6 +254,7 @@ def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
             element("span", "truth", class_="truth"),
             ", ",
             element("span", "estimate", class_="estimate"),
+            "; lines from the middle of a box show its up axis and its right (+x)",
         ),
         element("div", figures, class_="gallery"),
     )

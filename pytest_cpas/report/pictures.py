@@ -31,10 +31,19 @@ _FAR = 10 * _SIDE
 TRUTH_COLOUR, ESTIMATE_COLOUR = (0, 200, 255), (255, 140, 0)
 
 _CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-_EDGES = [
-    (a, b)
-    for a, b in itertools.combinations(range(8), 2)
-    if (_CORNERS[a] != _CORNERS[b]).sum() == 1
+
+#: The middles of the box, of its right and of its upper side: they tell a box that is turned round.
+_AXES = np.array([[0, 0, 0], [0.5, 0, 0], [0, 0.5, 0]])
+
+#: What is drawn between them: the edges, and the two axes.
+_LINES = [
+    *(
+        (a, b)
+        for a, b in itertools.combinations(range(8), 2)
+        if (_CORNERS[a] != _CORNERS[b]).sum() == 1
+    ),
+    (8, 9),
+    (8, 10),
 ]
 
 
@@ -71,6 +80,8 @@ def _size(sample: Document) -> float:
 def draw(sample: Sample, estimate: str | None) -> bytes:
     """The colour image around the object, with the box of the truth and that of the estimate.
 
+    From the middle of a box lines go to its upper and to its right side (+y and +x).
+
     ``estimate`` as on a row; None draws the truth alone, and so does one without extents.
     """
     observation, truth = sample.observation, sample.truth
@@ -91,13 +102,13 @@ def draw(sample: Sample, estimate: str | None) -> bytes:
         if box is not None:
             _draw_box(image, scale * (box - shift), ESTIMATE_COLOUR, 2)
     text = io.BytesIO()
-    image.save(text, "JPEG", quality=80)
+    image.save(text, "JPEG", quality=80, subsampling=0)
     return text.getvalue()
 
 
 def _box(camera: Camera, rotation: Array, translation: Array, extents: Array) -> Array | None:
-    """The corners (8, 2) in pixels; None if one is not in front of the camera, or not known."""
-    corners = (_CORNERS * extents) @ rotation.T + translation
+    """Corners and middles (11, 2) in pixels; None if one is not known or behind the camera."""
+    corners = (np.concatenate([_CORNERS, _AXES]) * extents) @ rotation.T + translation
     if not np.isfinite(corners).all() or (corners[:, 2] <= 0).any():
         return None
     return camera.project(corners)
@@ -123,7 +134,7 @@ def _window(
 
 def _draw_box(image: Image.Image, corners: Array, colour: tuple[int, int, int], width: int) -> None:
     draw = ImageDraw.Draw(image)
-    for a, b in _EDGES:
+    for a, b in _LINES:
         ends = corners[[a, b]]
         if (abs(ends) < _FAR).all():
             draw.line([*ends.ravel().tolist()], fill=colour, width=width)
