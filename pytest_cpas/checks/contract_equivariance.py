@@ -1,9 +1,9 @@
 """Contract checks on changed images whose answer geometry dictates.
 
-They ask whether a method follows, not how exact it is: after the change, position and surface must
-be where they were expected within :data:`POSITION` and :data:`SURFACE`, for one sample at least. An
-adapter that goes wrong does so for all of them; a method that is sound may choose otherwise where
-an object is ambiguous.
+They ask whether a method follows, not how exact it is: after the change, position, rotation and
+surface must be where they were expected within :data:`POSITION`, :data:`ANGLE` and
+:data:`SURFACE`, for one sample at least. An adapter that goes wrong does so for all of them; a
+method that is sound may choose otherwise where an object is ambiguous.
 """
 
 from __future__ import annotations
@@ -19,7 +19,17 @@ from scipy.spatial.transform import Rotation
 from pytest_cpas.checks.contract import MethodSubject, NotCheckedError, contract
 from pytest_cpas.checks.subject import Finding, Outcome
 from pytest_cpas.frames import to_standard
-from pytest_cpas.types import Array, Camera, Hypothesis, Mesh, MethodInfo, Observation, Sample
+from pytest_cpas.metrics.pose import rotation_error
+from pytest_cpas.types import (
+    Array,
+    Camera,
+    Hypothesis,
+    Mesh,
+    MethodInfo,
+    Observation,
+    Sample,
+    Symmetry,
+)
 
 __all__ = [
     "check_distance",
@@ -34,8 +44,9 @@ __all__ = [
     "shifted",
 ]
 
-#: How far position and surface may be from where they were expected, metres.
-POSITION, SURFACE = 0.02, 0.01
+#: How far position and surface may be from where they were expected, metres, and the rotation,
+#: degrees.
+POSITION, SURFACE, ANGLE = 0.02, 0.01, 20.0
 #: Pixels that the image is shifted by, at most.
 SHIFT = 48
 #: By what the distance of an object grows.
@@ -164,7 +175,7 @@ def _follows(
             expected, found = (
                 to_standard(each.hypotheses[0], subject.info) for each in (answer, again)
             )
-            objection = _apart(found, expected, changed)
+            objection = _apart(found, expected, changed, sample.truth.symmetry)
         else:
             objection = f"no answer after it: {again.reason}"
         if not objection:
@@ -180,7 +191,7 @@ def _follows(
     )
 
 
-def _apart(found: Hypothesis, expected: Hypothesis, changed: Changed) -> str:
+def _apart(found: Hypothesis, expected: Hypothesis, changed: Changed, symmetry: Symmetry) -> str:
     position = changed.turn @ expected.translation + changed.shift
     off = found.translation - position
     distance = float(np.linalg.norm(off))
@@ -189,6 +200,12 @@ def _apart(found: Hypothesis, expected: Hypothesis, changed: Changed) -> str:
             f"the position is {100 * distance:.1f} cm from where it must be (x, y, z:"
             f" {', '.join(f'{100 * x:+.1f}' for x in off)} cm)"
         )
+    rotation = changed.turn @ expected.rotation
+    if np.linalg.det(rotation) < 0:  # mirrored; only objects with an axis y are
+        rotation = rotation * [-1, 1, 1]
+    angle = float(np.degrees(rotation_error(found.rotation, rotation, symmetry)))
+    if angle > ANGLE:
+        return f"the rotation is {angle:.0f} deg from where it must be"
     surface = expected.pose.apply(_surface(expected)) @ changed.turn.T + changed.shift
     again = found.pose.apply(_surface(found))
     there, back = cKDTree(surface).query(again)[0], cKDTree(again).query(surface)[0]

@@ -198,7 +198,7 @@ class DeepDepth(Planted):
         return sound(replace(observation, depth=depth), seed)
 
 
-@behaviour("image flipped for augmentation", "projects_onto_mask")
+@behaviour("image flipped for augmentation", "shift")
 class FlippedImage(Planted):
     def answer(self, observation: Observation, seed: int) -> Prediction:
         depth, mask = (
