@@ -26,8 +26,8 @@ from pytest_cpas.metrics.precision import Count
 #: An explanation must make at least this share of the answers correct that were not.
 REPAIRED = 0.1
 
-#: ... or, with half turns in a part of the samples alone, this share,
-_FLIPPED = 0.2
+#: ... or, with a number that was fitted, or with half turns in a part of them alone, this share,
+_FITTED = 0.2
 
 #: ... and repair this many for one that it breaks.
 _REPAIRED_PER_BROKEN = 4
@@ -183,7 +183,7 @@ def _explain(evidence: Evidence, part: Part, category: str) -> Finding | None:
     usual = [pair for pair in every if not any(mistake.fitted for mistake in pair[0])]
     for candidates in (every, usual):
         best = _best(candidates, len(searched))
-        found = _believed(evidence, part, category, best, len(every), REPAIRED)
+        found = _believed(evidence, part, category, best, len(every))
         if found is not None:
             return found
     return None
@@ -195,21 +195,21 @@ def _explain_flips(evidence: Evidence, category: str) -> Finding | None:
         correct = _correct(evidence, mistake.undo(evidence.answers), "pose")
         candidates.append(((mistake,), int(correct.sum())))
     best = _best(candidates, len(evidence))
-    return _believed(evidence, "pose", category, best, len(candidates), _FLIPPED)
+    return _believed(evidence, "pose", category, best, len(candidates))
 
 
 def _believed(
-    evidence: Evidence, part: Part, category: str, best: _Best, tried: int, repaired: float
+    evidence: Evidence, part: Part, category: str, best: _Best, tried: int
 ) -> Finding | None:
-    """The best of so many that were tried, if it is believable and repairs that share."""
+    """The best of so many that were tried, if it is believable."""
     mistakes, ties = best
     before = _correct(evidence, evidence.answers, part)
     answers = _undone(evidence.answers, mistakes)
     after = _correct(evidence, answers, part)
-    chance = _chance(evidence, answers, part)
-    if not _believable(before, after, chance, tried, repaired):
+    fitted = any(mistake.fitted for mistake in mistakes)
+    if not _believable(evidence, part, before, answers, tried, _FITTED if fitted else REPAIRED):
         return None
-    if any(mistake.fitted for mistake in mistakes) and not _general(evidence, before, after):
+    if fitted and not _general(evidence, before, after):
         return None
     return Finding(
         category,
@@ -275,18 +275,16 @@ def _other(part: Part) -> str:
     return "-translation" if part == "rotation" else "-rotation"
 
 
-def _chance(evidence: Evidence, answers: Estimates, part: Part) -> float:
-    """The share that is correct if what was changed is compared with other samples' truths."""
+def _chance(evidence: Evidence, answers: Estimates, part: Part, of: Bools) -> float:
+    """The share of these samples that is correct if what was changed is compared with other
+    samples' truths."""
     moved = not np.array_equal(answers.translation, evidence.answers.translation)
     turned = not np.array_equal(answers.rotation, evidence.answers.rotation)
     correct = 0
     for order in _orders(evidence):
-        correct += int(
-            _correct(
-                evidence, answers, part, order if moved else None, order if turned else None
-            ).sum()
-        )
-    return (correct + 1) / (_SHUFFLES * len(evidence) + 2)
+        orders = order if moved else None, order if turned else None
+        correct += int(_correct(evidence, answers, part, *orders)[of].sum())
+    return (correct + 1) / (_SHUFFLES * int(of.sum()) + 2)
 
 
 def _orders(evidence: Evidence) -> Iterator[NDArray[np.int64]]:
@@ -302,13 +300,18 @@ def _orders(evidence: Evidence) -> Iterator[NDArray[np.int64]]:
         yield order
 
 
-def _believable(before: Bools, after: Bools, chance: float, tried: int, least: float) -> bool:
-    size, correct = len(before), int(after.sum())
-    repaired, broken = int((after & ~before).sum()), int((before & ~after).sum())
-    return (
-        _worthwhile(repaired, broken, size, least)
-        and correct >= (chance + least) * size
-        and _significant(correct, size, chance, tried)
+def _believable(
+    evidence: Evidence, part: Part, before: Bools, answers: Estimates, tried: int, least: float
+) -> bool:
+    """Whether ``answers`` repair enough, and more than any other object's would."""
+    size, wrong = len(before), ~before
+    after = _correct(evidence, answers, part)
+    repaired, broken = int((after & wrong).sum()), int((before & ~after).sum())
+    if not _worthwhile(repaired, broken, size, least):
+        return False
+    chance = _chance(evidence, answers, part, wrong)
+    return repaired >= chance * int(wrong.sum()) + least * size and _significant(
+        repaired, int(wrong.sum()), chance, tried
     )
 
 
