@@ -24,7 +24,6 @@ from method_adapters._icp_evidence import Evidence, TooLittleEvidenceError
 from method_adapters._icp_prior import Prior
 from pytest_cpas.types import (
     CATEGORIES,
-    EQUIVARIANCES,
     Hypothesis,
     MethodInfo,
     Observation,
@@ -80,7 +79,8 @@ class Icp:
         needs=frozenset({"depth"}),
         gives=frozenset({"extents", "shape"}),
         licence="MIT",
-        equivariances=frozenset(EQUIVARIANCES),
+        # not roll: where the depth leaves a choice, UPRIGHT_WEIGHT makes it
+        equivariances=frozenset({"shift", "resolution", "distance", "mirror"}),
     )
 
     def load(self, assets: Path | None, device: str) -> None:
