@@ -154,20 +154,23 @@ class CpasSession(SuiteSession):
             verdicts = [_explained(verdict, findings) for verdict in self._verdicts(run, rows)]
             for verdict in verdicts:
                 self._emit(session, run, verdict)
-            self.documents.append(
-                run_document(
-                    run,
-                    rows,
-                    errors=self.errors[run],
-                    verdicts=verdicts,
-                    require_golden=self.config.option.cpas_require_golden,
-                    contract=self.contract[run].values(),
-                    findings=findings,
-                    golden=self._readable_golden(run),
-                )
-            )
+            self.documents.append(self._document(run, verdicts, findings))
         if folder := self.config.option.cpas_report:
             self._write_report(session, self.config.invocation_params.dir / folder)
+
+    def _document(
+        self, run: Run, verdicts: Sequence[Verdict] = (), findings: Sequence[Finding] = ()
+    ) -> Document:
+        return run_document(
+            run,
+            self._ordered(run),
+            errors=self.errors[run],
+            verdicts=verdicts,
+            require_golden=self.config.option.cpas_require_golden,
+            contract=self.contract[run].values(),
+            findings=findings,
+            golden=self._readable_golden(run),
+        )
 
     def _readable_golden(self, run: Run) -> RunTable | None:
         try:
@@ -232,12 +235,14 @@ class CpasSession(SuiteSession):
         """The tables and verdicts."""
         if not self.is_controller:
             return
-        for run in self.documents:
+        # whoever interrupts a run sees what there is
+        documents = self.documents or [self._document(run) for run in self.runs]
+        for run in documents:
             sound = not any(verdict["outcome"] == "failed" for verdict in run["verdicts"])
             if perturbation_of(run["dataset"]) and sound and self.config.get_verbosity() <= 0:
                 continue  # a point of the curves below
             print_run(terminalreporter, run)
-        print_curves(terminalreporter, self.documents)
+        print_curves(terminalreporter, documents)
         if self.update:
             known = {run.method for run in self.runs} | {
                 entry.name for entry in registry.registered("method")

@@ -491,7 +491,8 @@ def test_boxes_are_drawn_where_the_corners_project():
 )
 def test_absurd_estimates_leave_the_truth(translation):
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
-    estimate = encode_estimate(Hypothesis(np.eye(3), translation, [0.1, 0.1, 0.1]))
+    extents = [0.1, 1e300 if translation[0] == 50 else 0.1, 0.1]
+    estimate = encode_estimate(Hypothesis(np.eye(3), translation, extents))
     assert coloured(draw(sample, estimate), TRUTH_COLOUR) == pytest.approx(
         coloured(draw(sample, None), TRUTH_COLOUR), abs=0.01
     )
@@ -525,3 +526,17 @@ def test_axes_tell_a_box_that_is_turned_round():
                 x, y = (size * point).astype(int)
                 there = found[y - 4 : y + 5, x - 4 : x + 5].any()
                 assert there == (turn[axis, axis] == side), (turn, axis, side)
+
+
+def test_interrupted_run_shows_what_there_is(cpas, pytester):
+    names = ("--cpas-method=tiny:Interrupted", "--cpas-dataset=tiny:Tiny")
+    result = pytester.runpytest_subprocess(*RUN, *names, "--cpas-report=out", "-k", "test_sample")
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    result.stdout.fnmatch_lines(["all *5/5 100.0 %*", "5 of 12 samples judged"])
+    assert not (pytester.path / "out").exists()
+
+
+def test_report_of_a_run_on_workers(report):
+    alone, *_ = report("Biased")
+    spread, *_ = report("Biased", "-n2")
+    assert spread == alone

@@ -196,6 +196,11 @@ class Raises(Broken):
         raise RuntimeError("the network exploded")
 
 
+class Interrupted(Broken):
+    def broken(self, index: int) -> Prediction:
+        raise KeyboardInterrupt
+
+
 class Dies(Broken):
     def broken(self, index: int) -> Prediction:
         os._exit(9)

@@ -108,8 +108,10 @@ def draw(sample: Sample, estimate: str | None) -> bytes:
 
 def _box(camera: Camera, rotation: Array, translation: Array, extents: Array) -> Array | None:
     """Corners and middles (11, 2) in pixels; None if one is not known or behind the camera."""
+    if not all(np.isfinite(part).all() for part in (rotation, translation, extents)):
+        return None
     corners = (np.concatenate([_CORNERS, _AXES]) * extents) @ rotation.T + translation
-    if not np.isfinite(corners).all() or (corners[:, 2] <= 0).any():
+    if (corners[:, 2] <= 0).any():
         return None
     return camera.project(corners)
 
