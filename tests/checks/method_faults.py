@@ -191,10 +191,10 @@ fault("focal length of another camera", seen_by(
     lambda c: replace(c, fx=525.0, fy=525.0)), "resolution")  # fmt: skip
 
 
-@behaviour("depth a tenth too large", of_diagnosis("depth-scale"))
+@behaviour("depth in another sensor's unit", "metric_units")
 class DeepDepth(Planted):
     def answer(self, observation: Observation, seed: int) -> Prediction:
-        depth = (observation.depth * 1.1).astype(np.float32)
+        depth = (observation.depth * 2.5).astype(np.float32)
         return sound(replace(observation, depth=depth), seed)
 
 
