@@ -72,6 +72,8 @@ def _cases(path) -> dict[str, tuple[str, str]]:
     for case in ET.parse(path).iter("testcase"):
         name = f"{case.get('classname')}::{case.get('name')}"
         (outcome,) = case or [None]
+        if "test_contract" in name and (outcome is None or outcome.tag == "skipped"):
+            outcome = None  # what is mere information may differ with the samples of a shard
         message = outcome.get("message") if outcome is not None and "golden" in name else ""
         found[name] = ("passed" if outcome is None else outcome.tag, message)
     return found
