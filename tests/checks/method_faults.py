@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_info
 from pytest_cpas.checks import CONTRACT
 from pytest_cpas.checks.contract_stage import ContractStage
 from pytest_cpas.diagnosis.running import diagnose_run
-from pytest_cpas.evaluation import MethodRun, Selection, tabulate
+from pytest_cpas.evaluation import MethodRun, tabulate
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL
 from pytest_cpas.types import CATEGORIES, Hypothesis, Mesh, Observation, Prediction
 
@@ -504,15 +504,15 @@ class UsesBackground(Planted):
 def caught(make: type[Planted], seed: int = 0) -> list[str]:
     """The contract checks that the method violates, and what the diagnosis makes of its answers,
     as far as there are any."""
-    stage = ContractStage(MethodRun(make(), Scenes(), seed=seed))
+    run = MethodRun(make(), Scenes(), seed=seed)
+    stage = ContractStage(run)
     results = [stage.result(check) for check in CONTRACT.values()]
     names = [result.check for result in results if result.violated]
-    return names if "answers" in names else names + diagnosed(make, seed)
+    return names if "answers" in names else names + diagnosed(run)
 
 
-def diagnosed(make: type[Planted], seed: int = 0, limit: int | None = None) -> list[str]:
+def diagnosed(run: MethodRun) -> list[str]:
     """What the diagnosis says, as the catalogue names it."""
-    run = MethodRun(make(), Scenes(), seed=seed, selection=Selection(limit=limit))
     rows = [run.judge(ref) for ref in run.samples]
     # the sound icp's table is full
     expected = {(c, label): 1.0 for c, cells in tabulate(rows).items() for label in cells}

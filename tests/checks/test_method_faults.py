@@ -7,13 +7,17 @@ from planted import Planted, Scenes
 
 from pytest_cpas.checks import CONTRACT
 from pytest_cpas.checks.contract_stage import ContractStage
-from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.evaluation import MethodRun, Selection
 
 CAUGHT_BY_CHECKS = [planted for planted in FAULTS if planted.by in CONTRACT]
 
 
 def stage(make, seed=0):
     return ContractStage(MethodRun(make(), Scenes(), seed=seed))
+
+
+def of_20(make):
+    return MethodRun(make(), Scenes(), selection=Selection(limit=20))
 
 
 @pytest.mark.parametrize("planted", CAUGHT_BY_CHECKS[::4], ids=lambda planted: planted.name)
@@ -26,8 +30,8 @@ def test_planted_faults_are_caught(planted):
 
 def test_the_diagnosis_names_what_no_check_can_see():
     planted = next(planted for planted in FAULTS if planted.name == "NOCS object axes")
-    assert method_faults.is_named(planted, method_faults.diagnosed(planted.make, limit=20))
-    assert method_faults.diagnosed(Planted, limit=20) == []
+    assert method_faults.is_named(planted, method_faults.diagnosed(of_20(planted.make)))
+    assert method_faults.diagnosed(of_20(Planted)) == []
 
 
 @pytest.mark.parametrize("seed", range(2))
