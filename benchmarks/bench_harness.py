@@ -16,8 +16,9 @@ MODULE = """
 import numpy as np
 from pytest_cpas.types import *
 
-CAMERA = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
-EXTENTS = np.array([0.1, 0.08, 0.12])
+# the box fills the image, as a method's contract wants it
+CAMERA = Camera(8, 6, 60.0, 60.0, 3.5, 2.5)
+EXTENTS = np.array([0.12, 0.09, 0.1])
 DEPTH = np.ones((6, 8), np.float32)
 OBSERVATION = Observation("mug", np.zeros((6, 8, 3), np.float32), DEPTH, DEPTH > 0, CAMERA)
 TRUTH = GroundTruth(Pose(np.eye(3), [0, 0, 1]), EXTENTS, Symmetry.none())
