@@ -361,12 +361,12 @@ def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunT
     identity, provenance, cells = sections
     if content.get("samples_sha256") != _digest(samples_csv):
         raise GoldenError("samples.csv is not the file that table.toml was made with")
-    lines = list(csv.reader(io.StringIO(samples_csv, newline="")))
-    if not lines or tuple(lines[0]) != _COLUMNS or any(len(x) != len(_COLUMNS) for x in lines):
+    lines = csv.reader(io.StringIO(samples_csv, newline=""))
+    if tuple(next(lines, ())) != _COLUMNS:
         raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
     try:
-        samples = {x[0]: _sample(x) for x in lines[1:]}
-    except ValueError as error:
+        samples = {line[0]: _sample(line) for line in lines}
+    except (ValueError, IndexError) as error:
         raise GoldenError(f"samples.csv: {error}") from error
     for sample in samples.values():
         told = [sample.outcome, *sample.repeats]

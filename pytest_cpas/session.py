@@ -31,7 +31,7 @@ from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.document import Document, document, run_document
 from pytest_cpas.report.files import write_report
 from pytest_cpas.report.robustness import print_curves
-from pytest_cpas.report.terminal import print_run
+from pytest_cpas.report.terminal import print_run, shows_samples
 from pytest_cpas.results import MergedRun, ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.robustness import perturbation_of, perturbed
 from pytest_cpas.snapshot import golden_folder
@@ -161,15 +161,18 @@ class CpasSession(SuiteSession):
     def _document(
         self, run: Run, verdicts: Sequence[Verdict] = (), findings: Sequence[Finding] = ()
     ) -> Document:
+        rows = self._ordered(run)
         return run_document(
             run,
-            self._ordered(run),
+            rows,
             errors=self.errors[run],
             verdicts=verdicts,
             require_golden=self.config.option.cpas_require_golden,
             contract=self.contract[run].values(),
             findings=findings,
             golden=self._readable_golden(run),
+            # a large run has too many to list them for nobody
+            samples=bool(self.config.option.cpas_report) or shows_samples(self.config, len(rows)),
         )
 
     def _readable_golden(self, run: Run) -> RunTable | None:

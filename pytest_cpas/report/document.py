@@ -69,11 +69,12 @@ def run_document(
     contract: Iterable[ContractResult],
     findings: Sequence[Finding],
     golden: RunTable | None,
+    samples: bool = True,
 ) -> Document:
     """The document of one run.
 
     ``errors``: why samples have no row; ``golden``: the recorded table, shown beside the run's if
-    it was made under the same conditions.
+    it was made under the same conditions; ``samples``: whether they are listed.
     """
     new = RunTable.of(run, rows)
     if golden is not None and differences(golden.identity, new.identity):
@@ -125,7 +126,7 @@ def run_document(
             for name in sorted(old.keys() & new.samples.keys())
             if (flip := _flip(name, old[name], new.samples[name]))
         ],
-        "samples": _samples(run, new, old, errors),
+        "samples": _samples(run, new, old, errors) if samples else [],
         "identity": dict(run.identity),
         "provenance": dict(run.provenance),
     }

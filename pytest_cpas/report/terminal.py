@@ -14,6 +14,11 @@ from pytest_cpas.report.words import contract_words, judged_words, verdict_words
 _FEW = 20
 
 
+def shows_samples(config: pytest.Config, judged: int) -> bool:
+    """Whether each sample of a run is printed."""
+    return judged <= _FEW or config.get_verbosity() > 0
+
+
 def print_run(terminal: pytest.TerminalReporter, run: Document) -> None:
     """Print what was missing, the contract, the samples of a small run, the precision table, the
     verdict, and what explains it."""
@@ -21,7 +26,7 @@ def print_run(terminal: pytest.TerminalReporter, run: Document) -> None:
     for line in run["missing"]:
         terminal.write_line(f"missing: {line}")
     _print_contract(terminal, run["contract"])
-    if run["judged"] and (run["judged"] <= _FEW or terminal.config.get_verbosity() > 0):
+    if run["judged"] and shows_samples(terminal.config, run["judged"]):
         print_table(terminal, _sample_lines(run["samples"]))
     if run["judged"]:
         print_table(terminal, _precision_lines(run["precision"]))
