@@ -47,7 +47,11 @@ class Scenes:
         ]
 
     def load(self, ref: SampleRef) -> Sample:
-        return _scene(ref)
+        sample = _scene(ref)
+        seen = sample.observation
+        # arrays of its own: some faults write into them
+        own = replace(seen, rgb=seen.rgb.copy(), depth=seen.depth.copy(), mask=seen.mask.copy())
+        return replace(sample, observation=own)
 
     def truth(self, ref: SampleRef) -> GroundTruth:
         return _scene(ref).truth
