@@ -228,10 +228,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
         config.pluginmanager.register(CpasSession(config), "cpas-session")
     if options.cpas_metrics:
-        from pytest_cpas.checks.session import MetricsSession
+        from pytest_cpas.checks.metrics.session import MetricsSession
 
         config.pluginmanager.register(MetricsSession(config), "cpas-metrics-session")
     if options.cpas_check_dataset:
-        from pytest_cpas.checks.dataset_session import DatasetSession
+        from pytest_cpas.checks.dataset.session import DatasetSession
 
         config.pluginmanager.register(DatasetSession(config), "cpas-dataset-session")

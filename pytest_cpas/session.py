@@ -19,8 +19,8 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas._suite_session import SuiteSession, report_outcome
-from pytest_cpas.checks import CONTRACT, ContractResult
-from pytest_cpas.checks.contract_stage import ContractStage, StoredStage
+from pytest_cpas.checks.contract import CONTRACT, ContractResult
+from pytest_cpas.checks.contract.stage import ContractStage, StoredStage
 from pytest_cpas.comparison import GOOD, Verdict, Word, compare
 from pytest_cpas.diagnosis import Finding
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision

@@ -10,8 +10,9 @@ import pytest
 import tiny
 from harness import KEPT, NOT_DEMANDED, RUN
 
-from pytest_cpas.checks import CONTRACT, ContractResult, MethodSubject, Outcome, check_contract
-from pytest_cpas.checks.contract_stage import SMOKE_SAMPLES, smoke_samples
+from pytest_cpas.checks.contract import CONTRACT, ContractResult, MethodSubject, check_contract
+from pytest_cpas.checks.contract.stage import SMOKE_SAMPLES, smoke_samples
+from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.types import ContractError
 

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import pytest
 from harness import RUN
 
-from pytest_cpas.checks import CONTRACT
+from pytest_cpas.checks.contract import CONTRACT
 
 #: What the golden table was recorded with, what is run on what, the exit code.
 CASES = {

@@ -99,6 +99,11 @@ def test_metrics_import_without_pytest_and_heavy_extras(tmp_path):
     assert run_python(code, tmp_path).strip() == "[]"
 
 
+def test_runs_of_methods_do_not_import_the_search_for_counterexamples(tmp_path):
+    code = "import sys, pytest_cpas.session; print('hypothesis' in sys.modules)"
+    assert run_python(code, tmp_path).strip() == "False"
+
+
 def test_wheel_holds_everything(tmp_path):
     """Type marker, assets, suite, golden tables; no tests and no benchmark."""
     subprocess.run(

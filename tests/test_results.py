@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from harness import RUN
 
-from pytest_cpas.checks import CONTRACT
+from pytest_cpas.checks.contract import CONTRACT
 from pytest_cpas.cli import main
 from pytest_cpas.results import Shard, merge, read_results
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas import metrics as m
-from pytest_cpas.checks import Sample, offer
+from pytest_cpas.checks.metrics import Sample, offer
 from pytest_cpas.types import Symmetry
 
 Array = NDArray[np.float64]

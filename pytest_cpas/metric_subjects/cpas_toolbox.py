@@ -5,7 +5,7 @@ from typing import Any
 from cpas_toolbox import metrics as m
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.checks import Sample, offer
+from pytest_cpas.checks.metrics import Sample, offer
 
 #: What the toolbox's limits are called.
 LIMITS = {

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from cutoop import eval_utils, iou, rotation
 
-from pytest_cpas.checks import offer
+from pytest_cpas.checks.metrics import offer
 from pytest_cpas.types import Symmetry
 
 

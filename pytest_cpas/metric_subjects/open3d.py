@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from pytest_cpas._open3d import import_open3d
-from pytest_cpas.checks import offer
+from pytest_cpas.checks.metrics import offer
 
 o3d = import_open3d()
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from pytest_cpas.checks import offer
+from pytest_cpas.checks.metrics import offer
 
 
 def _box_iou(*boxes: Any) -> float:

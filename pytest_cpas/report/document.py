@@ -12,7 +12,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from pytest_cpas.checks import ContractResult, Outcome
+from pytest_cpas.checks.contract import ContractResult
+from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.comparison import Verdict
 from pytest_cpas.diagnosis import Finding
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, errors_of

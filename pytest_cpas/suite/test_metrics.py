@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_cpas.checks import PROPERTIES, Outcome, Property, Subject, check, replay
-from pytest_cpas.checks.session import RESULT, MetricsSession
+from pytest_cpas.checks.metrics import PROPERTIES, Property, Subject, check, replay
+from pytest_cpas.checks.metrics.session import RESULT, MetricsSession
+from pytest_cpas.checks.outcome import Outcome
 
 
 def _session(config: pytest.Config) -> MetricsSession:

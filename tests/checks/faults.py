@@ -23,7 +23,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas import metrics as m
-from pytest_cpas.checks import KNOWN, PROPERTIES, Outcome, Sample, Subject, check
+from pytest_cpas.checks.metrics import KNOWN, PROPERTIES, Sample, Subject, check
+from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.metric_subjects.cpas import METRICS
 from pytest_cpas.types import ContractError, Symmetry
 
@@ -37,7 +38,7 @@ class Fault:
     make: Callable[[Callable[..., Any]], Callable[..., Any]]
 
     def subject(self) -> Subject:
-        from pytest_cpas.checks.metric_adapter import Offer
+        from pytest_cpas.checks.metrics.adapter import Offer
 
         right = METRICS[self.metric]
         wrong = Offer(self.make(right.function), right.definition)

@@ -25,8 +25,8 @@ from planted import Planted, Scenes, sound, spoilt
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_info
 
-from pytest_cpas.checks import CONTRACT
-from pytest_cpas.checks.contract_stage import ContractStage
+from pytest_cpas.checks.contract import CONTRACT
+from pytest_cpas.checks.contract.stage import ContractStage
 from pytest_cpas.diagnosis.running import diagnose_run
 from pytest_cpas.evaluation import MethodRun, tabulate
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL

@@ -14,18 +14,18 @@ import faults
 import numpy as np
 import pytest
 
-from pytest_cpas.checks import (
+from pytest_cpas.checks.metrics import (
     KNOWN,
     PROPERTIES,
-    Outcome,
     as_subject,
     check,
     load_subject,
     offer,
     replay,
 )
-from pytest_cpas.checks.exact import shared_volume
-from pytest_cpas.checks.expectations import expectations_file, read_expectations
+from pytest_cpas.checks.metrics.exact import shared_volume
+from pytest_cpas.checks.metrics.expectations import expectations_file, read_expectations
+from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.metric_subjects.cpas import METRICS
 from pytest_cpas.types import ContractError
 
@@ -196,7 +196,7 @@ def test_counterexample_is_small_repeats_and_can_be_pasted(tmp_path, monkeypatch
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "lab_of_twice").mkdir()
     (tmp_path / "lab_of_twice" / "twice.py").write_text(
-        "from pytest_cpas.checks import offer\n"
+        "from pytest_cpas.checks.metrics import offer\n"
         "from pytest_cpas.metric_subjects.cpas import METRICS as ours\n"
         "right = ours['chamfer'].function\n"
         "METRICS = {'chamfer': offer(lambda a, b: 2 * right(a, b))}\n"
@@ -236,7 +236,7 @@ def adapter(pytester, monkeypatch):
 
     def run(expression, *args):
         source = f"""
-            from pytest_cpas.checks import offer
+            from pytest_cpas.checks.metrics import offer
             from pytest_cpas.metric_subjects.cpas import METRICS as ours
             right = ours["chamfer"].function
             METRICS = {{"chamfer": offer(lambda a, b: {expression})}}

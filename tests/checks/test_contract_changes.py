@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pytest_cpas.checks.contract_equivariance import (
+from pytest_cpas.checks.contract.equivariance import (
     half_resolution,
     mirrored,
     moved_away,

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from pytest_cpas.checks.dataset import CHECKS, Problem
-from pytest_cpas.checks.dataset_facts import Survey, survey
-from pytest_cpas.checks.dataset_verdicts import KnownFault, Word, judge, read_known_faults
-from pytest_cpas.checks.orientations import up_axis_spread
+from pytest_cpas.checks.dataset.facts import Survey, survey
+from pytest_cpas.checks.dataset.orientations import up_axis_spread
+from pytest_cpas.checks.dataset.verdicts import KnownFault, Word, judge, read_known_faults
 from pytest_cpas.datasets.nocs import NocsTree, Real275
 from pytest_cpas.datasets.synthetic import HANDHELD, TABLETOP, generate
 from pytest_cpas.types import Camera, ContractError, SampleRef

@@ -8,9 +8,9 @@ import pytest
 from harness import RUN
 from PIL import Image
 
-import pytest_cpas.checks.dataset_session  # noqa: F401 - runs in this process share our modules
+import pytest_cpas.checks.dataset.session  # noqa: F401 - runs in this process share our modules
 from pytest_cpas._open3d import import_open3d
-from pytest_cpas.checks import dataset_facts
+from pytest_cpas.checks.dataset import facts
 from pytest_cpas.datasets.synthetic import HANDHELD, generate
 
 import_open3d()  # it cannot be loaded twice, and a run in this process forgets what it loaded
@@ -113,9 +113,9 @@ def test_known_faults_of_ones_own(check, pytester):
 
 def test_mesh_is_measured_once(check, monkeypatch):
     measured = []
-    original = dataset_facts.measure_mesh
+    original = facts.measure_mesh
     monkeypatch.setattr(
-        dataset_facts, "measure_mesh", lambda *args: measured.append(args) or original(*args)
+        facts, "measure_mesh", lambda *args: measured.append(args) or original(*args)
     )
     check()
     assert len(measured) == 1

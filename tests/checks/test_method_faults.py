@@ -5,8 +5,8 @@ import pytest
 from method_faults import DIAGNOSIS, FAULTS
 from planted import Planted, Scenes
 
-from pytest_cpas.checks import CONTRACT
-from pytest_cpas.checks.contract_stage import ContractStage
+from pytest_cpas.checks.contract import CONTRACT
+from pytest_cpas.checks.contract.stage import ContractStage
 from pytest_cpas.evaluation import MethodRun, Selection
 
 CAUGHT_BY_CHECKS = [planted for planted in FAULTS if planted.by in CONTRACT]

@@ -6,7 +6,7 @@ import test_folder
 import test_other_layouts
 
 from pytest_cpas.checks.dataset import CHECKS
-from pytest_cpas.checks.dataset_facts import survey
+from pytest_cpas.checks.dataset.facts import survey
 from pytest_cpas.registry import resolve
 
 

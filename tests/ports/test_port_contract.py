@@ -6,7 +6,7 @@ import plausible
 import pytest
 
 from method_adapters._networks.running import Runner
-from pytest_cpas.checks import CONTRACT, MethodSubject, check_contract
+from pytest_cpas.checks.contract import CONTRACT, MethodSubject, check_contract
 from pytest_cpas.types import GroundTruth, Pose, Sample, SampleRef, Symmetry
 
 

@@ -1,16 +1,4 @@
-"""What a method must keep, and a method under test.
-
-Usable without pytest::
-
-    from pytest_cpas.checks import CONTRACT, MethodSubject, check_contract
-
-    subject = MethodSubject(method, [dataset.load(ref) for ref in dataset.samples[:4]])
-    for check in CONTRACT.values():
-        result = check_contract(subject, check)
-        print(check.name, result.outcome.value, result.message)
-
-``docs/method-contract.md`` lists the checks.
-"""
+"""The checks of the contract as a registry, and a method under test."""
 
 from __future__ import annotations
 
@@ -26,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.checks.subject import Finding, Outcome
+from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.evaluation import check_answers
 from pytest_cpas.frames import to_standard
 from pytest_cpas.types import (

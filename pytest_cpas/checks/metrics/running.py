@@ -18,9 +18,10 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, Verbosity, given, settings
 from hypothesis import strategies as st
 
-from pytest_cpas.checks.metric_adapter import Offer
-from pytest_cpas.checks.properties import Property
-from pytest_cpas.checks.subject import Finding, Outcome, Subject, time_limit
+from pytest_cpas.checks.metrics.adapter import Offer
+from pytest_cpas.checks.metrics.properties import Property
+from pytest_cpas.checks.metrics.subject import Subject, time_limit
+from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.registry import resolve
 from pytest_cpas.types import ContractError
 

@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.checks.metric_adapter import KNOWN, Box, Sample
-from pytest_cpas.checks.properties import expect, prop
-from pytest_cpas.checks.strategies import posed, seeds
-from pytest_cpas.checks.subject import Subject
+from pytest_cpas.checks.metrics.adapter import KNOWN, Box, Sample
+from pytest_cpas.checks.metrics.properties import expect, prop
+from pytest_cpas.checks.metrics.strategies import posed, seeds
+from pytest_cpas.checks.metrics.subject import Subject
 from pytest_cpas.types import Symmetry
 
 Generator = np.random.Generator

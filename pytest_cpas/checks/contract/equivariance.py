@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.checks.contract import MethodSubject, NotCheckedError, contract
-from pytest_cpas.checks.subject import Finding, Outcome
+from pytest_cpas.checks.contract.checking import MethodSubject, NotCheckedError, contract
+from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.frames import to_standard
 from pytest_cpas.metrics.pose import rotation_error
 from pytest_cpas.types import (

@@ -9,11 +9,11 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pytest_cpas.checks import strategies as some
-from pytest_cpas.checks.metric_adapter import Sample
-from pytest_cpas.checks.properties import close, expect, prop
-from pytest_cpas.checks.strategies import Rows, posed, turned
-from pytest_cpas.checks.subject import Subject
+from pytest_cpas.checks.metrics import strategies as some
+from pytest_cpas.checks.metrics.adapter import Sample
+from pytest_cpas.checks.metrics.properties import close, expect, prop
+from pytest_cpas.checks.metrics.strategies import Rows, posed, turned
+from pytest_cpas.checks.metrics.subject import Subject
 
 Array = NDArray[np.float64]
 

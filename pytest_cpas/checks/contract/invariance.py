@@ -11,8 +11,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from pytest_cpas.checks.contract import MethodSubject, NotCheckedError, contract, difference
-from pytest_cpas.checks.subject import Finding, Outcome
+from pytest_cpas.checks.contract.checking import (
+    MethodSubject,
+    NotCheckedError,
+    contract,
+    difference,
+)
+from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.types import MethodInfo
 
 __all__ = [

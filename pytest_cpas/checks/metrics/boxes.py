@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from pytest_cpas.checks import strategies as some
-from pytest_cpas.checks.exact import rotation_of, shared_volume
-from pytest_cpas.checks.metric_adapter import Box
-from pytest_cpas.checks.properties import close, expect, prop
-from pytest_cpas.checks.strategies import Rows, as_box, as_symmetry, element, turned
-from pytest_cpas.checks.subject import Subject
+from pytest_cpas.checks.metrics import strategies as some
+from pytest_cpas.checks.metrics.adapter import Box
+from pytest_cpas.checks.metrics.exact import rotation_of, shared_volume
+from pytest_cpas.checks.metrics.properties import close, expect, prop
+from pytest_cpas.checks.metrics.strategies import Rows, as_box, as_symmetry, element, turned
+from pytest_cpas.checks.metrics.subject import Subject
 
 IOU = "box_iou"
 SYMMETRIC = "symmetric_box_iou"

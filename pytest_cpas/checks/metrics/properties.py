@@ -9,7 +9,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from pytest_cpas.checks.subject import Finding, Outcome, Subject
+from pytest_cpas.checks.metrics.subject import Subject
+from pytest_cpas.checks.outcome import Finding, Outcome
 
 __all__ = ["PROPERTIES", "Property", "close", "expect", "prop"]
 

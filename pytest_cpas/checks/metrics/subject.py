@@ -12,40 +12,16 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from enum import StrEnum
 from types import FrameType
 from typing import Any
 
 import numpy as np
 
-from pytest_cpas.checks.metric_adapter import KNOWN, Box, Offer, Sample, as_turns
+from pytest_cpas.checks.metrics.adapter import KNOWN, Box, Offer, Sample, as_turns
+from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.types import Symmetry
 
-__all__ = ["Finding", "Outcome", "Subject", "time_limit"]
-
-
-class Outcome(StrEnum):
-    """What checking one property of one implementation can end with."""
-
-    PASSED = "passed"
-    VIOLATED = "violated"
-    NOT_OFFERED = "n/a"
-    RAISED = "raised"
-    HUNG = "hung"
-    WRONG_TYPE = "wrong type"
-    PRINTED = "printed"
-    CHANGED_ARGUMENTS = "changed its arguments"
-    DREW_GLOBAL_RANDOM = "drew from the global random state"
-    HARNESS_ERROR = "harness error"
-
-
-class Finding(Exception):
-    """What is wrong with the implementation, as one of :class:`Outcome`."""
-
-    def __init__(self, outcome: Outcome, message: str) -> None:
-        """``message``: one line that says what was seen and what was expected."""
-        super().__init__(message)
-        self.outcome = outcome
+__all__ = ["Subject", "time_limit"]
 
 
 class _Timer:
@@ -191,7 +167,7 @@ class Subject:
         """The calls since ``calls`` was cleared, as code that can be pasted."""
         lines = [
             "from numpy import array, inf, nan",
-            "from pytest_cpas.checks import Box, Sample, load_subject",
+            "from pytest_cpas.checks.metrics import Box, Sample, load_subject",
             "from pytest_cpas.types import Symmetry",
             f"subject = load_subject({self.name!r})",
         ]

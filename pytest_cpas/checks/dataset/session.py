@@ -14,9 +14,9 @@ from pytest_cpas import registry
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas._suite_session import Outcome, SuiteSession, report_outcome
 from pytest_cpas.checks.dataset import CHECKS
-from pytest_cpas.checks.dataset_facts import ImageFacts, MeshFacts, SampleFacts, Survey
-from pytest_cpas.checks.dataset_report import draw_up_axes, print_survey
-from pytest_cpas.checks.dataset_verdicts import (
+from pytest_cpas.checks.dataset.facts import ImageFacts, MeshFacts, SampleFacts, Survey
+from pytest_cpas.checks.dataset.report import draw_up_axes, print_survey
+from pytest_cpas.checks.dataset.verdicts import (
     KnownFault,
     Verdict,
     Word,

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from pytest_cpas.checks import exact
-from pytest_cpas.checks.properties import close, expect, prop
-from pytest_cpas.checks.strategies import seeds
-from pytest_cpas.checks.subject import Subject
+from pytest_cpas.checks.metrics import exact
+from pytest_cpas.checks.metrics.properties import close, expect, prop
+from pytest_cpas.checks.metrics.strategies import seeds
+from pytest_cpas.checks.metrics.subject import Subject
 
 FINE = 1e-6
 AP = "average_precision"

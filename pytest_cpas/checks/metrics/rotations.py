@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.checks import strategies as some
-from pytest_cpas.checks.properties import close, expect, prop
-from pytest_cpas.checks.strategies import Rows, as_symmetry, element, turned
-from pytest_cpas.checks.subject import Subject
+from pytest_cpas.checks.metrics import strategies as some
+from pytest_cpas.checks.metrics.properties import close, expect, prop
+from pytest_cpas.checks.metrics.strategies import Rows, as_symmetry, element, turned
+from pytest_cpas.checks.metrics.subject import Subject
 from pytest_cpas.types import Symmetry
 
 #: For all but the properties on accuracy: an arccos of a rounded trace is off by a few 1e-8.

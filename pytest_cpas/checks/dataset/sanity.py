@@ -1,17 +1,8 @@
-"""Sanity checks of a data set: plain functions from what was measured to the problems found.
-
-Usable without pytest::
-
-    from pytest_cpas.checks.dataset import CHECKS
-    from pytest_cpas.checks.dataset_facts import survey
-
-    measured = survey(MyDataset(folder))
-    for name, check in CHECKS.items():
-        print(name, check(measured))
+"""The checks of a data set.
 
 A check returns its problems, worst first, or None where the data set has nothing that it could
 judge. A fault is named once: where a camera, a pose or a mesh is wrong, what follows from it
-(depth, mask, extents) is not judged. ``docs/dataset-checks.md`` says what each one demands.
+(depth, mask, extents) is not judged.
 """
 
 from __future__ import annotations
@@ -21,8 +12,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from pytest_cpas.checks.dataset_facts import ImageFacts, MeshFacts, SampleFacts, Survey
-from pytest_cpas.checks.orientations import REACH, up_axis_spread
+from pytest_cpas.checks.dataset.facts import ImageFacts, MeshFacts, SampleFacts, Survey
+from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
 from pytest_cpas.published import count_problems, published_sample_counts
 
 __all__ = ["CHECKS", "Check", "Problem"]
@@ -50,8 +41,8 @@ MAX_BOX_ERROR = 0.001
 #: From that share of its pixels on, an inside that is seen is a hole and not a ragged edge.
 MIN_HOLE = 0.03
 
-#: Least coverage of free orientations (see :class:`~pytest_cpas.checks.orientations.Spread`), and
-#: the least number of samples that says anything about it.
+#: Least coverage of free orientations (see :func:`up_axis_spread`), and the least number of samples
+#: that says anything about it.
 MIN_COVERAGE, MIN_ORIENTATIONS = 1 / 3, 20
 
 

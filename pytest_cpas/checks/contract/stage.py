@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from pytest_cpas.checks import CONTRACT
 from pytest_cpas.checks.contract import (
+    CONTRACT,
     ContractCheck,
     ContractResult,
     MethodSubject,
     check_contract,
 )
-from pytest_cpas.checks.subject import Outcome
+from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.diagnosis import diagnose_run
 from pytest_cpas.evaluation import MethodError, MethodRun, SampleError, Selection
 from pytest_cpas.types import ContractError, Method, Sample, SampleRef

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.checks.contract import MethodSubject, NotCheckedError, contract
-from pytest_cpas.checks.subject import Finding, Outcome
+from pytest_cpas.checks.contract.checking import MethodSubject, NotCheckedError, contract
+from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo, Observation
 
 __all__ = [

@@ -8,16 +8,16 @@ from typing import Any
 import pytest
 
 from pytest_cpas._suite_session import SuiteSession
-from pytest_cpas.checks import PROPERTIES, Result, Subject, load_subject
-from pytest_cpas.checks.expectations import (
+from pytest_cpas.checks.metrics import PROPERTIES, Result, Subject, load_subject
+from pytest_cpas.checks.metrics.expectations import (
     Expectation,
     expectations_file,
     read_expectations,
     write_expectations,
 )
-from pytest_cpas.checks.matrix import Cell, aligned, as_table, write_matrix
-from pytest_cpas.checks.running import DEFAULT_EXAMPLES
-from pytest_cpas.checks.subject import Outcome
+from pytest_cpas.checks.metrics.matrix import Cell, aligned, as_table, write_matrix
+from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
+from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.registry import RegistryError
 from pytest_cpas.types import ContractError
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
-from pytest_cpas.checks.dataset_facts import Survey
-from pytest_cpas.checks.dataset_verdicts import Verdict, Word
-from pytest_cpas.checks.orientations import REACH, up_axis_spread
+from pytest_cpas.checks.dataset.facts import Survey
+from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
+from pytest_cpas.checks.dataset.verdicts import Verdict, Word
 from pytest_cpas.report.terminal import print_table
 from pytest_cpas.types import Array
 

@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from pytest_cpas.checks.running import Result, adapter_module
-from pytest_cpas.checks.subject import Outcome
+from pytest_cpas._files import write_text
+from pytest_cpas.checks.metrics.running import Result, adapter_module
+from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.types import ContractError
 
 __all__ = ["Expectation", "expectations_file", "read_expectations", "write_expectations"]
@@ -64,7 +65,7 @@ def write_expectations(path: Path, results: Iterable[Result]) -> int:
         parts.append(f"message = {_text(result.message)}")
         parts.append(f"case = {_text(result.case)}")
         parts.append(f"snippet = {_text(result.snippet)}\n")
-    path.write_text("\n".join(parts), encoding="utf-8")
+    write_text(path, "\n".join(parts))
     return len(failed)
 
 

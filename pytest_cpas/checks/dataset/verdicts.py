@@ -23,7 +23,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pytest_cpas.checks.dataset import CHECKS, Problem
-from pytest_cpas.checks.dataset_facts import Survey
+from pytest_cpas.checks.dataset.facts import Survey
 from pytest_cpas.types import ContractError, Dataset
 
 __all__ = ["KnownFault", "Verdict", "Word", "judge", "known_faults_file", "read_known_faults"]

@@ -8,9 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas.checks.properties import PROPERTIES
-from pytest_cpas.checks.running import Result
-from pytest_cpas.checks.subject import Outcome
+from pytest_cpas._files import write_text
+from pytest_cpas.checks.metrics.properties import PROPERTIES
+from pytest_cpas.checks.metrics.running import Result
+from pytest_cpas.checks.outcome import Outcome
 
 __all__ = ["Cell", "as_json", "as_markdown", "as_table", "write_matrix"]
 
@@ -94,7 +95,7 @@ def write_matrix(path: Path, matrix: Matrix) -> None:
     """Write JSON or Markdown, by the file's ending."""
     path.parent.mkdir(parents=True, exist_ok=True)
     render = as_markdown if path.suffix == ".md" else as_json
-    path.write_text(render(matrix), encoding="utf-8")
+    write_text(path, render(matrix))
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.checks.metric_adapter import Box, Sample
-from pytest_cpas.checks.subject import Subject
+from pytest_cpas.checks.metrics.adapter import Box, Sample
+from pytest_cpas.checks.metrics.subject import Subject
 from pytest_cpas.types import Symmetry
 
 Array = NDArray[np.float64]

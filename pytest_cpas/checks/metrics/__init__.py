@@ -1,0 +1,42 @@
+"""Conformance of metric implementations: properties that every one must keep.
+
+Usable without pytest::
+
+    from pytest_cpas.checks.metrics import PROPERTIES, check, load_subject
+
+    subject = load_subject("my_package.my_adapter")
+    for prop in PROPERTIES.values():
+        result = check(subject, prop)
+        print(prop.name, result.outcome, result.message)
+
+``docs/metric-conformance.md`` says how an adapter is written.
+"""
+
+from pytest_cpas.checks.metrics.adapter import KNOWN, Box, Offer, Sample, offer
+from pytest_cpas.checks.metrics.properties import PROPERTIES, Property
+from pytest_cpas.checks.metrics.running import Result, as_subject, check, load_subject, replay
+from pytest_cpas.checks.metrics.subject import Subject
+
+# the modules register their properties when they are imported; the matrix follows this order
+from pytest_cpas.checks.metrics import rotations as _rotations  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import boxes as _boxes  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import surfaces as _surfaces  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import precision as _precision  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import average_precision as _average  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import conduct as _conduct  # isort: skip  # noqa: F401
+
+__all__ = [
+    "KNOWN",
+    "PROPERTIES",
+    "Box",
+    "Offer",
+    "Property",
+    "Result",
+    "Sample",
+    "Subject",
+    "as_subject",
+    "check",
+    "load_subject",
+    "offer",
+    "replay",
+]
