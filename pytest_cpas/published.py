@@ -72,6 +72,23 @@ def published_curves(dataset: str, method: str) -> dict[str, list[tuple[float, C
     return curves
 
 
+@dataclass(frozen=True)
+class PublishedTime:
+    """Mean seconds per prediction, on which data set and machine."""
+
+    dataset: str
+    mean_seconds: float
+    machine: str
+
+
+def published_time(method: str) -> PublishedTime | None:
+    """The run time that the paper prints for a method; None if it prints none."""
+    for line in _read("run_time.csv"):
+        if line["method"] == method:
+            return PublishedTime(line["dataset"], float(line["mean_seconds"]), line["hardware"])
+    return None
+
+
 def published_name(dataset: str, listed: Mapping[str, int]) -> str | None:
     """The data set of the paper that a run's samples are of; None if it is none of them.
 

@@ -540,3 +540,45 @@ def test_report_of_a_run_on_workers(report):
     alone, *_ = report("Biased")
     spread, *_ = report("Biased", "-n2")
     assert spread == alone
+
+
+def test_speed_is_told_beside_the_paper():
+    def interval(median):
+        return {"median": median, "lower": 0.9 * median, "upper": 1.1 * median, "confidence": 0.99}
+
+    speed = {
+        "seconds": interval(0.25),
+        "mean_seconds": 0.26,
+        "rounds": 24,
+        "samples": 12,
+        "stages": [{"name": "network", "seconds": 0.0002, "share": 0.8}],
+        "memory": {"host_bytes": 2**30, "host_source": "predictions", "device_bytes": 2**20},
+        "machine": {
+            "cpu": "A CPU",
+            "cores": 2,
+            "system": "Linux",
+            "python": "3.12.1",
+            "device": "A GPU",
+            "threads": {"openblas": 2},
+            "versions": {"numpy": "2.3"},
+        },
+        "reference": {"kind": "revision", "name": "git:HEAD~1", "seconds": interval(0.19)},
+        "ratio": interval(1.3),
+        "slowdown": interval(1.3),
+        "verdict": {"word": "SLOWER", "details": "by 30 %", "outcome": "failed", "limit": 1.2},
+        "published": {"dataset": "redwood75", "mean_seconds": 0.227, "machine": "Old, Older"},
+    }
+    content = a_document(rows(), speed=speed)
+    assert content["outcome"] == "failed"
+    text = markdown(content)
+    for told in (
+        "SLOWER: by 30 %",
+        "250 ms (225 ms to 275 ms) per sample",
+        "1.3 (1.17 to 1.43) times the revision git:HEAD\\~1",
+        "network 200 us (80 %)",
+        "on A CPU, 2 cores, A GPU; peak memory 1024 MiB, 1 MiB on the device",
+        "the paper: 227 ms (mean) per sample of redwood75, on Old, Older",
+    ):
+        assert told in text
+    unjudged = speed | {"verdict": {**speed["verdict"], "word": "MEASURED", "outcome": "passed"}}
+    assert a_document(rows(), speed=unjudged)["outcome"] == "skipped"

@@ -1,8 +1,8 @@
 """What a session found, as one plain, versioned document: the only source of every renderer.
 
 A document is a dict of JSON values; ``schema.json`` beside this module describes it. It holds no
-time and no path, so that the same rows give the same document, wherever and in how many parts they
-were judged.
+path, and a time only below ``speed``, where --cpas-benchmark asked for it: the same rows give the
+same document, wherever and in how many parts they were judged.
 """
 
 from __future__ import annotations
@@ -70,12 +70,14 @@ def run_document(
     contract: Iterable[ContractResult],
     findings: Sequence[Finding],
     golden: RunTable | None,
+    speed: Document | None = None,
     samples: bool = True,
 ) -> Document:
     """The document of one run.
 
     ``errors``: why samples have no row; ``golden``: the recorded table, shown beside the run's if
-    it was made under the same conditions; ``samples``: whether they are listed.
+    it was made under the same conditions; ``speed``: what :mod:`pytest_cpas.timing` measured;
+    ``samples``: whether they are listed.
     """
     new = RunTable.of(run, rows)
     if golden is not None and differences(golden.identity, new.identity):
@@ -98,11 +100,12 @@ def run_document(
     # workers send them in any order
     told_contract = [_contract(r) for r in sorted(contract, key=lambda r: r.check)]
     broken = problems or errors or any(r["status"] in ("violated", "gone") for r in told_contract)
+    slower = speed is not None and speed["verdict"]["outcome"] == "failed"
     return {
         "method": run.method,
         "dataset": run.dataset,
         "published_as": published,
-        "outcome": "failed" if broken else worst(v["outcome"] for v in told_verdicts),
+        "outcome": "failed" if broken or slower else worst(v["outcome"] for v in told_verdicts),
         "judged": len(rows),
         "listed": sum(run.listed.values()),
         "unanswered": sum(row.failure is not None for row in rows),
@@ -128,6 +131,7 @@ def run_document(
             if (flip := _flip(name, old[name], new.samples[name]))
         ],
         "samples": _samples(run, new, old, errors) if samples else [],
+        "speed": speed,
         "identity": dict(run.identity),
         "provenance": dict(run.provenance),
     }

@@ -13,6 +13,7 @@ from pytest_cpas.report.words import (
     golden_words,
     judged_words,
     outcome_words,
+    speed_lines,
     troubles,
 )
 
@@ -56,6 +57,8 @@ def _lines(document: Document) -> Iterator[str]:
             ],
         )
     for run in document["runs"]:
+        yield from _speed(run)
+    for run in document["runs"]:
         yield from _categories(run, document["thresholds"])
 
 
@@ -87,6 +90,15 @@ def _told(run: Document) -> Iterator[str]:
             "---",
         )
         yield from _rest(len(run["flips"]))
+
+
+def _speed(run: Document) -> Iterator[str]:
+    if run["speed"]:
+        yield f"**Speed of {_escape(run['method'])} on {_escape(run['dataset'])}**"
+        yield ""
+        for line in speed_lines(run["speed"]):
+            yield f"- {_escape(line)}"
+        yield ""
 
 
 def _categories(run: Document, thresholds: Sequence[str]) -> Iterator[str]:

@@ -8,7 +8,7 @@ import pytest
 
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.words import contract_words, judged_words, verdict_words
+from pytest_cpas.report.words import contract_words, judged_words, speed_lines, verdict_words
 
 #: A run of at most this many samples shows each of them.
 _FEW = 20
@@ -48,6 +48,16 @@ def print_run(terminal: pytest.TerminalReporter, run: Document) -> None:
     for finding in run["findings"]:
         for line in finding["lines"]:
             terminal.write_line(line, yellow=True)
+    if run["speed"]:
+        _print_speed(terminal, run["speed"])
+
+
+def _print_speed(terminal: pytest.TerminalReporter, speed: Document) -> None:
+    verdict, *facts = speed_lines(speed)
+    outcome = speed["verdict"]["outcome"]
+    terminal.write_line(f"speed: {verdict}", red=outcome == "failed", green=outcome == "passed")
+    for line in facts:
+        terminal.write_line(f"  {line}")
 
 
 def _print_contract(terminal: pytest.TerminalReporter, results: Sequence[Document]) -> None:

@@ -63,8 +63,66 @@ def golden_words(run: Document) -> str:
     return "; ".join(f"{word} ({', '.join(names)})" for word, names in words.items())
 
 
+def speed_lines(speed: Document) -> list[str]:
+    """What --cpas-benchmark measured; the verdict stands first."""
+    verdict, reference, machine = speed["verdict"], speed["reference"], speed["machine"]
+    lines = [
+        f"{verdict['word']}: {verdict['details']}",
+        f"{_seconds(speed['seconds'])} per sample, median of {speed['rounds']} rounds with"
+        f" {speed['samples']} samples (mean {seconds_words(speed['mean_seconds'])});"
+        f" {_factor(speed['ratio'])} times the {reference['kind']} {reference['name']}",
+    ]
+    if speed["stages"]:
+        lines.append(
+            "; ".join(
+                f"{stage['name']} {seconds_words(stage['seconds'])} ({100 * stage['share']:.0f} %)"
+                for stage in speed["stages"]
+            )
+        )
+    cores = "core" if machine["cores"] == 1 else "cores"
+    device = "" if machine["device"] == "cpu" else f", {machine['device']}"
+    lines.append(
+        f"on {machine['cpu']}, {machine['cores']} {cores}{device}; {_memory(speed['memory'])}"
+    )
+    if paper := speed["published"]:
+        lines.append(
+            f"the paper: {seconds_words(paper['mean_seconds'])} (mean) per sample of"
+            f" {paper['dataset']}, on {paper['machine']}"
+        )
+    return lines
+
+
+def seconds_words(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-6:.3g} us"
+
+
+def _seconds(interval: Document) -> str:
+    low, high = seconds_words(interval["lower"]), seconds_words(interval["upper"])
+    return f"{seconds_words(interval['median'])} ({low} to {high})"
+
+
+def _factor(interval: Document) -> str:
+    return f"{interval['median']:.3g} ({interval['lower']:.3g} to {interval['upper']:.3g})"
+
+
+def _memory(memory: Document) -> str:
+    if memory["host_bytes"] is None:
+        told = "peak memory unknown"
+    else:
+        since = "" if memory["host_source"] == "predictions" else " since the process began"
+        told = f"peak memory {memory['host_bytes'] / 2**20:.0f} MiB{since}"
+    if memory["device_bytes"] is not None:
+        told += f", {memory['device_bytes'] / 2**20:.0f} MiB on the device"
+    return told
+
+
 def troubles(run: Document) -> list[tuple[str, list[str]]]:
     """What is wrong with a run, and what was missing, under titles."""
+    speed = run["speed"]
     told = [
         ("Problems of the data set", run["problems"]),
         ("Missing", run["missing"]),
@@ -77,6 +135,10 @@ def troubles(run: Document) -> list[tuple[str, list[str]]]:
             ],
         ),
         ("What explains it", [line for entry in run["findings"] for line in entry["lines"]]),
+        (
+            "Speed",
+            speed_lines(speed)[:1] if speed and speed["verdict"]["outcome"] == "failed" else [],
+        ),
         ("Verdicts", [verdict_words(v) for v in run["verdicts"] if v["outcome"] != "passed"]),
         (
             "Samples that could not be judged",
