@@ -2,7 +2,8 @@
 
 Rows go through test reports and results files as plain values, for a data set of any size. An
 answer is the base64 of 15 little-endian float32, 80 characters: the rotation row by row, the
-translation and the extents (NaN without), in the standard frames and metres.
+translation and the extents (NaN without), in the standard frames and metres. A shape, which is kept
+for pictures only, is a thinned cloud of points in steps of 1/255 of its box.
 """
 
 from __future__ import annotations
@@ -13,10 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pytest_cpas.types import Array, Hypothesis
+from pytest_cpas.metrics.surfaces import Surface
+from pytest_cpas.types import Array, Hypothesis, Mesh
 
 _DTYPE = np.dtype("<f4")
 _COUNT = 15
+
+#: Points of a shape: 1.6 kB of text.
+SHAPE_POINTS = 400
+
+#: Coordinates of a shape, metres, are no larger: an absurd one stays a number.
+_FARTHEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,3 +52,30 @@ def decode_estimates(texts: Sequence[str]) -> Estimates:
         raise ValueError(f"an estimate is {_COUNT} float32 in base64")
     values = np.frombuffer(b"".join(parts), _DTYPE).reshape(-1, _COUNT).astype(float)
     return Estimates(values[:, :9].reshape(-1, 3, 3), values[:, 9:12], values[:, 12:])
+
+
+def encode_shape(shape: Mesh | Array) -> str:
+    """The text of at most :data:`SHAPE_POINTS` points of a shape; :func:`decode_shape` reads it.
+
+    ``shape``: a mesh, which is sampled, or finite points (N, 3), metres. The base64 of the lower
+    corner and the size of the points' box, 6 little-endian float32, and of 3 bytes per point.
+    """
+    points = Surface.of(shape, seed=0, count=SHAPE_POINTS).points
+    points = points[:: -(-len(points) // SHAPE_POINTS)].clip(-_FARTHEST, _FARTHEST)
+    low = points.min(axis=0)
+    size = points.max(axis=0) - low
+    steps = np.round(255 * (points - low) / np.where(size > 0, size, 1)).astype(np.uint8)
+    box = np.concatenate([low, size]).astype(_DTYPE)
+    return base64.b64encode(box.tobytes() + steps.tobytes()).decode("ascii")
+
+
+def decode_shape(text: str) -> Array:
+    """The points (N, 3), metres, of a text of :func:`encode_shape`; else :class:`ValueError`."""
+    content = base64.b64decode(text, validate=True)
+    corner = 6 * _DTYPE.itemsize
+    if len(content) <= corner or (len(content) - corner) % 3:
+        raise ValueError("a shape is 6 float32 and 3 bytes per point, in base64")
+    low, size = np.frombuffer(content[:corner], _DTYPE).reshape(2, 3).astype(float)
+    steps = np.frombuffer(content[corner:], np.uint8).reshape(-1, 3)
+    points: Array = low + size * (steps / 255)
+    return points

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from pytest_cpas.estimates import encode_estimate
+from pytest_cpas.estimates import encode_estimate, encode_shape
 from pytest_cpas.frames import to_standard
 from pytest_cpas.metrics.boxes import symmetric_iou
 from pytest_cpas.metrics.definitions import definition
@@ -79,6 +79,7 @@ class Row:
     has its reason in ``failure`` and the errors of :data:`pytest_cpas.metrics.precision.FAILED`.
     ``estimate``: the answer itself, as of :func:`pytest_cpas.estimates.encode_estimate`.
     ``repeats``: the outcomes (see :func:`outcomes`) under further seeds, separated by spaces.
+    ``shape``: the estimated shape for a picture, as of :func:`pytest_cpas.estimates.encode_shape`.
     """
 
     sample: str
@@ -90,6 +91,7 @@ class Row:
     failure: str | None = None
     estimate: str | None = None
     repeats: str = ""
+    shape: str | None = None
 
 
 #: The field of a row for each of :data:`pytest_cpas.metrics.precision.METRICS`.
@@ -235,15 +237,18 @@ class MethodRun(Run):
         seed: int = 0,
         seeds: int = 1,
         shared: MethodRun | None = None,
+        keeps_shapes: bool = False,
     ) -> None:
         """List the samples whose category the method knows; nothing is loaded yet.
 
         Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row. ``shared``:
-        another run of the same method, which is then loaded once for both.
+        another run of the same method, which is then loaded once for both. ``keeps_shapes``: the
+        rows of samples that are not correct everywhere have the estimated shape, for a picture.
         """
         self._method, self._dataset = method, dataset
         self._weights, self._device = weights, device
         self.seed, self.seeds, self.shared = seed, seeds, shared
+        self._keeps_shapes = keeps_shapes
         self.under_contract = shared is None
         self.info = method.info
         self.quick_truth = getattr(dataset, "quick_truth", hasattr(dataset, "truth"))
@@ -338,7 +343,11 @@ class MethodRun(Run):
             raise SampleError(f"{where}: the method raised {error!r}") from error
         try:
             prediction = check_answers(answers, self._method.info)
-            return measure([ref], [sample.truth], [prediction], self._method.info)[0]
+            row = measure([ref], [sample.truth], [prediction], self._method.info)[0]
+            if self._keeps_shapes and "0" in outcomes([row])[0] and prediction.hypotheses:
+                shape = to_standard(prediction.hypotheses[0], self._method.info).shape
+                row = replace(row, shape=None if shape is None else encode_shape(shape))
+            return row
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
 

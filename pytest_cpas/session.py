@@ -183,8 +183,10 @@ class CpasSession(SuiteSession):
 
     def _write_report(self, session: pytest.Session, folder: Path) -> None:
         try:
+            from pytest_cpas.report.pictures import pictures  # Pillow, for a report only
+
             content = document(self.documents, session.testsfailed)
-            write_report(content, folder, self._pictures())
+            write_report(content, folder, pictures(self.runs, self.rows, self.documents))
         except OSError as error:
             message = f"{folder}: the report cannot be written ({error})"
             report_outcome(session, "cpas::report", "failed", message)
@@ -193,15 +195,6 @@ class CpasSession(SuiteSession):
         """The rows in the data set's order, however they arrived."""
         rows = self.rows[run]
         return [rows[ref.id] for ref in run.samples if ref.id in rows]
-
-    def _pictures(self) -> dict[tuple[str, str], dict[str, bytes]]:
-        from pytest_cpas.report.pictures import pictures  # Pillow, for a report only
-
-        return {
-            (run.method, run.dataset): pictures(run, self.rows[run], told)
-            for run, told in zip(self.runs, self.documents, strict=True)
-            if isinstance(run, MethodRun) and not perturbation_of(run.dataset)
-        }
 
     def _verdicts(self, run: Run, rows: list[Row]) -> list[Verdict]:
         if not self.update:
@@ -354,6 +347,7 @@ def _method_runs(
             seeds=options.cpas_jitter,
             selection=selection,
             shared=runs[0] if runs else None,
+            keeps_shapes=bool(options.cpas_report) and not perturbation_of(part.name),
         )
         runs.append(run)
     return runs

@@ -8,12 +8,14 @@ import io
 import json
 import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import jsonschema
 import numpy as np
 import pytest
+import tiny
 from harness import RUN
 from PIL import Image
 from tables import GOLDEN, REFS, Fixed, a_run, rows
@@ -21,15 +23,16 @@ from tables import GOLDEN, REFS, Fixed, a_run, rows
 import pytest_cpas.report
 from pytest_cpas.cli import main
 from pytest_cpas.comparison import Verdict, Word, compare
-from pytest_cpas.estimates import encode_estimate
-from pytest_cpas.evaluation import Row
+from pytest_cpas.estimates import encode_estimate, encode_shape
+from pytest_cpas.evaluation import MethodRun, Row, Run
 from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.published import published_name
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
-from pytest_cpas.report.pictures import ESTIMATE_COLOUR, TRUTH_COLOUR, draw
+from pytest_cpas.report.pictures import draw, pictures
+from pytest_cpas.report.reconstruction import ESTIMATE_COLOUR, GROUND, TRUTH_COLOUR
 from pytest_cpas.report.tables import groups, precision_table
 from pytest_cpas.results import read_results
 from pytest_cpas.types import (
@@ -180,8 +183,7 @@ def test_several_methods_are_ranked_and_failing_ones_first(recorded, pytester):
     ]
 
 
-def a_document(judged: list[Row], golden: RunTable | None = None, **more) -> dict:
-    run = a_run()
+def a_told(run: Run, judged: list[Row], golden: RunTable | None = None, **more) -> dict:
     given = {
         "errors": {},
         "verdicts": compare(golden, RunTable.of(run, judged)),
@@ -190,7 +192,11 @@ def a_document(judged: list[Row], golden: RunTable | None = None, **more) -> dic
         "findings": [],
         "golden": golden,
     }
-    content = document([run_document(run, judged, **given | more)], 0)
+    return run_document(run, judged, **given | more)
+
+
+def a_document(judged: list[Row], golden: RunTable | None = None, **more) -> dict:
+    content = document([a_told(a_run(), judged, golden, **more)], 0)
     jsonschema.validate(content, SCHEMA)
     return content
 
@@ -391,17 +397,7 @@ def test_page_loads_nothing_and_admits_its_script_only():
 def test_published_curves_stand_beside_the_measured_ones():
     """Every point of the chart is where the published count says."""
     run = Fixed("spd", "real275", REFS, identity={})
-    found = run_document(
-        run,
-        rows(),
-        errors={},
-        verdicts=[],
-        require_golden=False,
-        contract=[],
-        findings=[],
-        golden=None,
-    )
-    content = document([found], 0)
+    content = document([a_told(run, rows(), verdicts=[])], 0)
     jsonschema.validate(content, SCHEMA)
     ((_, runs, published),) = groups(content)
     lines = curve_lines(published, runs)
@@ -451,9 +447,19 @@ def a_sample(pose: Pose, extents: list[float]) -> Sample:
     return Sample(ref, observation, GroundTruth(pose, extents, Symmetry.none(), None))
 
 
-def coloured(jpeg: bytes, colour: tuple[int, int, int]) -> np.ndarray:
-    """Left, top, right and bottom of a colour, as shares of the picture."""
-    image = np.asarray(Image.open(io.BytesIO(jpeg))).astype(int)
+def panels(picture: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """The colour crop of a picture, without what fills its square up, and what is beside it."""
+    image = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+    side = image.shape[0]
+    assert image.shape == (side, 2 * side, 3)
+    filled = np.argwhere(abs(image[:, :side] - GROUND).max(axis=2) > 30)
+    (top, left), (bottom, right) = filled.min(axis=0), filled.max(axis=0) + 1
+    return image[top:bottom, left:right], image[:, side:]
+
+
+def coloured(picture: bytes, colour: tuple[int, int, int]) -> np.ndarray:
+    """Left, top, right and bottom of a colour, as shares of the colour crop."""
+    image, _ = panels(picture)
     rows, columns = np.nonzero(abs(image - colour).max(axis=2) < 60)
     height, width = image.shape[:2]
     ends = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
@@ -464,7 +470,7 @@ def test_boxes_are_drawn_where_the_corners_project():
     """Facing the camera, the nearer face of a box is its outline: by similar triangles."""
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
     moved = encode_estimate(Hypothesis(np.eye(3), [0.03, 0.02, 1.0], [0.1, 0.06, 0.1]))
-    picture = draw(sample, moved)
+    picture = draw(sample, moved, None)
     # 0.9 m in front: half 0.1 m and 0.05 m wide; what is shown is 35 % wider on either side
     across, up = 220 * 0.1 / 0.9, 220 * 0.05 / 0.9
     margin = 1 + 0.35 * 2 * across
@@ -493,8 +499,8 @@ def test_absurd_estimates_leave_the_truth(translation):
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
     extents = [0.1, 1e300 if translation[0] == 50 else 0.1, 0.1]
     estimate = encode_estimate(Hypothesis(np.eye(3), translation, extents))
-    assert coloured(draw(sample, estimate), TRUTH_COLOUR) == pytest.approx(
-        coloured(draw(sample, None), TRUTH_COLOUR), abs=0.01
+    assert coloured(draw(sample, estimate, None), TRUTH_COLOUR) == pytest.approx(
+        coloured(draw(sample, None, None), TRUTH_COLOUR), abs=0.01
     )
 
 
@@ -503,29 +509,89 @@ def test_page_shows_lost_and_worst_samples(report, pytester):
     text = (pytester.path / "out" / "report.html").read_text()
     images = [attributes for tag, attributes in Page(text).found if tag == "img"]
     lost = [flip["sample"] for flip in content["runs"][0]["flips"]]
-    assert [image["alt"] for image in images] == [f"boxes in {name}" for name in lost]
+    assert [image["alt"] for image in images] == [f"boxes and surfaces in {name}" for name in lost]
     for image in images:
         kind, _, data = image["src"].partition(",")
-        assert kind == "data:image/jpeg;base64"
-        assert Image.open(io.BytesIO(base64.b64decode(data))).format == "JPEG"
+        assert kind == "data:image/webp;base64"
+        assert Image.open(io.BytesIO(base64.b64decode(data))).format == "WEBP"
 
 
 def test_axes_tell_a_box_that_is_turned_round():
     """The lines of a box point to its right and its upper side, wherever that has gone."""
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.2, 0.2])
-    size = np.asarray(Image.open(io.BytesIO(draw(sample, None)))).shape[0]
     for turn in (np.diag([-1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, -1.0]), np.eye(3)):
-        jpeg = draw(sample, encode_estimate(Hypothesis(turn, [0, 0, 1.0], [0.2, 0.2, 0.2])))
-        image = np.asarray(Image.open(io.BytesIO(jpeg))).astype(int)
+        estimate = encode_estimate(Hypothesis(turn, [0, 0, 1.0], [0.2, 0.2, 0.2]))
+        image, _ = panels(draw(sample, estimate, None))
         found = abs(image - ESTIMATE_COLOUR).max(axis=2) < 70
         # between the middle and the nearest edge of the further face
         for axis in (0, 1):
             for side in (-1, 1):
                 point = np.array([0.5, 0.5])
                 point[axis] += side * 0.08
-                x, y = (size * point).astype(int)
+                x, y = (image.shape[0] * point).astype(int)
                 there = found[y - 4 : y + 5, x - 4 : x + 5].any()
                 assert there == (turn[axis, axis] == side), (turn, axis, side)
+
+
+def test_reconstruction_is_seen_from_the_right_and_from_above():
+    """What lies beyond the truth by 6 cm appears where an orbit of the camera puts it."""
+    sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
+    ball = np.random.default_rng(0).normal(size=(400, 3))
+    ball *= 0.01 / np.linalg.norm(ball, axis=1)[:, None]
+    sample = replace(sample, truth=replace(sample.truth, surface=ball))
+    moved = encode_estimate(Hypothesis(np.eye(3), [0, 0, 1.06], [0.1, 0.1, 0.1]))
+    _, image = panels(draw(sample, moved, encode_shape(ball)))
+
+    def middle(colour):
+        rows, columns = np.nonzero(abs(image - 0.75 * np.array(colour)).max(axis=2) < 45)
+        return np.array([columns.mean(), rows.mean()])
+
+    # 50 degrees to the right, 25 up; a camera on that sphere sees "away" as right and as up
+    right, up = math.sin(math.radians(50)), math.cos(math.radians(50)) * math.sin(math.radians(25))
+    pixels = 128 / (1.15 * math.hypot(0.1, 0.05, 0.1))
+    expected = 0.06 * pixels * np.array([right, -up])
+    assert middle(ESTIMATE_COLOUR) - middle(TRUTH_COLOUR) == pytest.approx(expected, abs=2)
+    assert middle(TRUTH_COLOUR) == pytest.approx([128, 128], abs=2)
+
+
+@pytest.mark.parametrize("surface", [None, np.zeros((1, 3))])
+def test_reconstruction_without_depth_or_shapes(surface):
+    sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
+    blind = replace(sample.observation, depth=np.zeros((160, 200), np.float32))
+    truth = replace(sample.truth, surface=surface)
+    _, image = panels(draw(replace(sample, observation=blind, truth=truth), None, None))
+    lit = abs(image - GROUND).max(axis=2) > 60
+    assert lit.sum() < 20
+    assert lit.any() == (surface is not None)
+
+
+def test_page_of_two_hundred_pictures_is_below_ten_megabytes(monkeypatch):
+    """Textured images, noisy depth all over, and a shape in each."""
+    rng = np.random.default_rng(0)
+    sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.15, 0.2])
+    points = rng.uniform(-0.1, 0.1, (2000, 3))
+    rgb = rng.random((40, 50, 3), np.float32).repeat(4, axis=0).repeat(4, axis=1)
+    depth = (0.95 + 0.02 * rng.random((160, 200))).astype(np.float32)
+    observation = replace(sample.observation, rgb=rgb, depth=depth)
+    sample = replace(sample, observation=observation, truth=replace(sample.truth, surface=points))
+    estimate = encode_estimate(Hypothesis(np.eye(3), [0.01, 0, 1.02], [0.2, 0.15, 0.2]))
+    monkeypatch.setattr(MethodRun, "read", lambda run, ref: sample)
+    judged = [
+        Row(f"s/{i:03d}", "mug", 0.5, 40.0, 0.1, 0.2, None, estimate, "", encode_shape(points))
+        for i in range(30)
+    ]
+    data = tiny.Tiny(None)
+    data.samples = [SampleRef(row.sample, "mug", "s") for row in judged]
+    runs = [MethodRun(tiny.Perfect(), data) for _ in range(12)]
+    for index, run in enumerate(runs):
+        run.method = f"m{index}"
+    told = [a_told(run, judged) for run in runs]
+    by_sample = {row.sample: row for row in judged}
+    drawn = pictures(runs, dict.fromkeys(runs, by_sample), told)
+    assert sum(map(len, drawn.values())) == 192  # as many of each, and 200 at most
+    text = page(document(told, 0), drawn)
+    assert text.count("data:image/webp") == 192
+    assert len(text.encode()) < 10e6
 
 
 def test_interrupted_run_shows_what_there_is(cpas, pytester):

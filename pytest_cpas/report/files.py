@@ -17,7 +17,7 @@ def write_report(
 ) -> None:
     """Write ``report.json``, ``report.md`` and ``report.html``, each as a whole or not at all.
 
-    ``pictures``: JPEG files by method and data set, and by sample, for the page.
+    ``pictures``: WebP pictures by method and data set, and by sample, for the page.
 
     Raises :class:`OSError` if a disk does not take them.
     """

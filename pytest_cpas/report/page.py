@@ -34,7 +34,7 @@ _UNFOLDED = 2
 
 
 def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]) -> str:
-    """The text of ``report.html``; ``pictures``: JPEG files by method and data set, and sample."""
+    """The text of ``report.html``; ``pictures``: as of :func:`.pictures.pictures`."""
     runs = document["runs"]
     details = [
         _run(run, index, document, pictures.get((run["method"], run["dataset"]), {}))
@@ -238,11 +238,11 @@ def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
         else:
             words = f"{100 * sample['position_m']:.2f} cm, {sample['rotation_deg']:.1f} deg"
             words += "" if sample["fscore_1cm"] is None else f", F {sample['fscore_1cm']:.2f}"
-        source = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+        source = f"data:image/webp;base64,{base64.b64encode(content).decode()}"
         figures.append(
             element(
                 "figure",
-                element("img", src=source, alt=f"boxes in {name}", loading="lazy"),
+                element("img", src=source, alt=f"boxes and surfaces in {name}", loading="lazy"),
                 element("figcaption", f"{sample['category']} {name}", element("small", words)),
             )
         )
@@ -254,7 +254,9 @@ def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
             element("span", "truth", class_="truth"),
             ", ",
             element("span", "estimate", class_="estimate"),
-            "; lines from the middle of a box show its up axis and its right (+x)",
+            "; lines from the middle of a box show its up axis and its right (+x). Beside it the"
+            " depth, seen from its right and from above: the object's points are bright, the true"
+            " surface and the estimated one have the colours of their boxes",
         ),
         element("div", figures, class_="gallery"),
     )

@@ -1,34 +1,39 @@
-"""Pictures of lost and bad samples: colour, with the boxes of truth and estimate."""
+"""Pictures of lost and bad samples: boxes in the colour image, and the shape over the depth."""
 
 from __future__ import annotations
 
 import io
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from pytest_cpas.estimates import decode_estimates
-from pytest_cpas.evaluation import MethodRun, Row
+from pytest_cpas.evaluation import MethodRun, Row, Run
 from pytest_cpas.report.document import Document
+from pytest_cpas.report.reconstruction import (
+    ESTIMATE_COLOUR,
+    GROUND,
+    TRUTH_COLOUR,
+    reconstruction,
+)
+from pytest_cpas.robustness import perturbation_of
 from pytest_cpas.types import Array, Camera, ContractError, Sample
 
-#: Pictures of one run. A picture takes about 10 kB, and two hundred shall stay below 10 MB.
-COUNT = 24
+#: Pictures of one run, and of a report: a page of that many shall stay below 10 MB.
+COUNT, TOTAL = 24, 200
 
-#: The longer side of a picture, pixels.
-_SIDE = 256
+#: The side of a panel, pixels, and its quality: as JPEG, dots would take three times as much.
+_SIDE, _QUALITY = 256, 85
 
 #: What is shown around the object, as a share of its size.
 _AROUND = 0.35
 
 #: No line is drawn to a corner further outside than this, pixels of the picture.
 _FAR = 10 * _SIDE
-
-TRUTH_COLOUR, ESTIMATE_COLOUR = (0, 200, 255), (255, 140, 0)
 
 _CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 
@@ -47,16 +52,32 @@ _LINES = [
 ]
 
 
-def pictures(run: MethodRun, rows: Mapping[str, Row], told: Document) -> dict[str, bytes]:
-    """JPEG pictures of a run's lost samples and then of its worst, by sample.
+def pictures(
+    runs: Sequence[Run], rows: Mapping[Run, Mapping[str, Row]], told: Sequence[Document]
+) -> dict[tuple[str, str], dict[str, bytes]]:
+    """WebP pictures by method and data set: of lost samples, then of the worst, by sample.
 
-    ``told``: the run's document. Samples that cannot be read again have none.
+    ``told``: the documents of the runs. Runs without images have none, and neither have perturbed
+    data sets nor samples that cannot be read again.
     """
+    shown = [
+        (run, content)
+        for run, content in zip(runs, told, strict=True)
+        if isinstance(run, MethodRun) and not perturbation_of(run.dataset)
+    ]
+    count = min(COUNT, TOTAL // max(1, len(shown)))
+    return {
+        (run.method, run.dataset): _drawn(run, rows[run], _chosen(content)[:count])
+        for run, content in shown
+    }
+
+
+def _drawn(run: MethodRun, rows: Mapping[str, Row], names: Sequence[str]) -> dict[str, bytes]:
     refs = {ref.id: ref for ref in run.samples}
     drawn: dict[str, bytes] = {}
-    for name in _chosen(told):
+    for name in names:
         try:
-            drawn[name] = draw(run.read(refs[name]), rows[name].estimate)
+            drawn[name] = draw(run.read(refs[name]), rows[name].estimate, rows[name].shape)
         except ContractError:  # judged when it was not yet damaged
             continue
     return drawn
@@ -66,7 +87,7 @@ def _chosen(told: Document) -> list[str]:
     lost = [flip["sample"] for flip in told["flips"] if flip["lost"]]
     wrong = [sample for sample in told["samples"] if "0" in (sample["outcome"] or "")]
     wrong.sort(key=lambda sample: (sample["outcome"].count("1"), -_size(sample)))
-    return list(dict.fromkeys([*lost, *(sample["sample"] for sample in wrong)]))[:COUNT]
+    return list(dict.fromkeys([*lost, *(sample["sample"] for sample in wrong)]))
 
 
 def _size(sample: Document) -> float:
@@ -77,33 +98,37 @@ def _size(sample: Document) -> float:
     return float(max(errors[0] / 0.02, errors[1] / 10))
 
 
-def draw(sample: Sample, estimate: str | None) -> bytes:
-    """The colour image around the object, with the box of the truth and that of the estimate.
+def draw(sample: Sample, estimate: str | None, shape: str | None) -> bytes:
+    """A WebP of two panels: the colour image around the object, with the box of the truth and that
+    of the estimate, and beside it the reconstruction over the measured points.
 
     From the middle of a box lines go to its upper and to its right side (+y and +x).
 
-    ``estimate`` as on a row; None draws the truth alone, and so does one without extents.
+    ``estimate``, ``shape`` as on a row; without, or without extents, the truth is drawn alone.
     """
     observation, truth = sample.observation, sample.truth
     camera = observation.camera
     true_box = _box(camera, truth.pose.rotation, truth.pose.translation, truth.extents)
-    left, top, right, bottom = _window(observation.mask, true_box, camera)
+    window = left, top, right, bottom = _window(observation.mask, true_box, camera)
     colour = np.round(255 * observation.rgb[top:bottom, left:right]).astype(np.uint8)
     scale = _SIDE / max(right - left, bottom - top)
     size = max(1, round(scale * (right - left))), max(1, round(scale * (bottom - top)))
-    image = Image.fromarray(colour).resize(size, Image.Resampling.BICUBIC)
+    panel = Image.fromarray(colour).resize(size, Image.Resampling.BICUBIC)
     # pixel coordinates count from the middle of the first pixel
     shift = np.array([left, top]) - 0.5
     if true_box is not None:
-        _draw_box(image, scale * (true_box - shift), TRUTH_COLOUR, 3)
+        _draw_box(panel, scale * (true_box - shift), TRUTH_COLOUR, 3)
     if estimate is not None:
         answer = decode_estimates([estimate])
         box = _box(camera, answer.rotation[0], answer.translation[0], answer.extents[0])
         if box is not None:
-            _draw_box(image, scale * (box - shift), ESTIMATE_COLOUR, 2)
-    text = io.BytesIO()
-    image.save(text, "JPEG", quality=80, subsampling=0)
-    return text.getvalue()
+            _draw_box(panel, scale * (box - shift), ESTIMATE_COLOUR, 3)
+    image = Image.new("RGB", (2 * _SIDE, _SIDE), GROUND)
+    image.paste(panel, ((_SIDE - size[0]) // 2, (_SIDE - size[1]) // 2))
+    image.paste(reconstruction(sample, estimate, shape, window, _SIDE), (_SIDE, 0))
+    file = io.BytesIO()
+    image.save(file, "WEBP", quality=_QUALITY)
+    return file.getvalue()
 
 
 def _box(camera: Camera, rotation: Array, translation: Array, extents: Array) -> Array | None:
