@@ -137,6 +137,26 @@ def ports(session: nox.Session) -> None:
 
 
 @nox.session
+def docs(session: nox.Session) -> None:
+    """The documentation, in site/, with the report of a run that is made for it."""
+    install(session, "-e", ".[open3d]", "--group", "docs")
+    session.run(
+        "pytest",
+        "--cpas-method=icp",
+        "--cpas-dataset=synthetic-handheld",
+        "--cpas-limit=36",
+        "--cpas-report=docs/example",
+        "--quiet",
+        env=ENV,
+    )
+    # mkdocs makes an HTML page of each Markdown file, under the same name
+    example = Path("docs/example")
+    (example / "report.md").replace(example / "summary.md")
+    quiet = {"NO_MKDOCS_2_WARNING": "1"}
+    session.run("mkdocs", "build", "--strict", *session.posargs, env=quiet)
+
+
+@nox.session
 def docs_figures(session: nox.Session) -> None:
     """Draw the pictures of the documentation anew; ``-- DATA`` also those of real data."""
     install(session, "-e", ".", "--group", "docs")

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a subcommand and return its exit code."""
+def command_line() -> argparse.ArgumentParser:
+    """The subcommands and their options."""
     parser = argparse.ArgumentParser(prog="pytest-cpas", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     merge = commands.add_parser(
@@ -23,14 +23,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         " pytest's, such as --cpas-require-golden, --cpas-allow-gaps, --snapshot-update or"
         " --junitxml=FILE.",
     )
-    merge.add_argument("files", nargs="+", metavar="FILE")
+    merge.add_argument("files", nargs="+", metavar="FILE", help="a file of --cpas-results")
     report = commands.add_parser(
         "report",
         help="write the report of stored results",
         description="Judge the files of --cpas-results, of a run or of all its shards, as merge"
         " does, and write report.html, report.md and report.json. Further options are pytest's.",
     )
-    report.add_argument("files", nargs="+", metavar="FILE")
+    report.add_argument("files", nargs="+", metavar="FILE", help="a file of --cpas-results")
     report.add_argument("--to", required=True, metavar="DIR", help="where to write the report")
     export = commands.add_parser(
         "export-bop",
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Write the estimates of a results file that --cpas-dataset bop:DIR"
         " --cpas-results RESULTS made as BOP's scene_id,im_id,obj_id,score,R,t,time.",
     )
-    export.add_argument("results", type=Path, metavar="FILE")
+    export.add_argument("results", type=Path, metavar="FILE", help="a file of --cpas-results")
     export.add_argument("--bop", type=Path, required=True, metavar="DIR", help="the data set")
     export.add_argument("--to", type=Path, required=True, metavar="CSV", help="what to write")
     fetching = commands.add_parser(
@@ -61,17 +61,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     adapter.add_argument(
         "--to", type=Path, default=Path(), metavar="DIR", help="where (default: here)"
     )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a subcommand and return its exit code."""
+    parser = command_line()
     known, others = parser.parse_known_args(arguments)
-    if known.command == "fetch":
-        if others:
-            fetching.error(f"unknown arguments: {' '.join(others)}")
-        return _fetch(known.name, known.to, known.yes)
     if known.command in ("merge", "report"):
         files = [f"--cpas-merge={file}" for file in known.files]
         to = [f"--cpas-report={known.to}"] if known.command == "report" else []
         return int(pytest.main([*files, *to, *others]))
     if others:
         parser.error(f"unrecognized arguments: {' '.join(others)}")
+    if known.command == "fetch":
+        return _fetch(known.name, known.to, known.yes)
     if known.command == "new-adapter":
         return _new_adapter(known)
     return _export_bop(known)

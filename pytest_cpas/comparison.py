@@ -45,16 +45,32 @@ CONFIDENCE = 0.95
 class Word(Enum):
     """The verdict on one category of a run."""
 
+    #: Every sample meets the same thresholds as when the table was recorded; of a table that was
+    #: recorded under several seeds, as many as their spread allows.
     MATCHES = "MATCHES"
+    #: There is no recorded table, and the exact binomial interval of each count holds what the
+    #: paper prints for this method and data set.
     AGREES = "AGREES WITH THE PAPER"
+    #: The same, and an interval lies above what the paper prints.
     ABOVE = "ABOVE THE PAPER"
+    #: At some threshold more samples were lost than gained; they are named with their errors.
+    #: Against the paper: an interval lies below what it prints.
     REGRESSED = "REGRESSED"
+    #: Samples were gained and none lost: look at it and record it.
     IMPROVED = "IMPROVED"
+    #: As many lost as gained, or other samples, or fewer than there were, or a metric is n/a that
+    #: was not.
     CHANGED = "CHANGED"
+    #: The table was made with other data, weights, seed, device or metric definitions: not
+    #: comparable.
     STALE = "STALE"
+    #: The table was edited by hand or is torn.
     DAMAGED = "DAMAGED"
+    #: There is no table, or only a part of the samples was judged (and agrees).
     NOT_CHECKED = "NOT CHECKED"
+    #: With --snapshot-update: the table was written.
     RECORDED = "RECORDED"
+    #: With --snapshot-update: it was not, for the reason that is given.
     NOT_RECORDED = "NOT RECORDED"
 
 

@@ -80,9 +80,13 @@ def read_known_faults(path: Path) -> list[KnownFault]:
 class Word(Enum):
     """The outcome of a check."""
 
+    #: No problem was found.
     PASSED = "passed"
+    #: A problem that is not known, or a known one that no longer happens: fails the run.
     FAILED = "FAILED"
+    #: All problems that were found are known faults (pytest's xfailed).
     KNOWN = "known"
+    #: There is nothing that the check could judge (pytest's skipped).
     NOT_APPLICABLE = "n/a"
 
 

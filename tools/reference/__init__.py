@@ -1,0 +1,46 @@
+"""The generated parts of the documentation: made of the code each time the site is built.
+
+A page of ``docs/`` says where they go, in a line of its own::
+
+    <!-- reference: options -->
+
+and :func:`expand` puts them there. Nothing here needs mkdocs.
+"""
+
+import re
+
+from reference import checks, code, formats, metrics, options, registered, verdicts
+
+#: What can stand in a marker; further words of it are passed on as text.
+PARTS = {
+    "api": code.api,
+    "columns": formats.columns,
+    "commands": options.commands,
+    "contract": checks.contract,
+    "dataset-checks": checks.dataset_checks,
+    "dataset-limits": checks.dataset_limits,
+    "dataset-words": verdicts.dataset_words,
+    "datasets": registered.datasets,
+    "definitions": metrics.definitions,
+    "docstring": code.module_docstring,
+    "exit-codes": verdicts.exit_codes,
+    "format": formats.format_number,
+    "golden-words": verdicts.golden_words,
+    "head": formats.head,
+    "ini": options.ini,
+    "methods": registered.methods,
+    "metric-functions": metrics.functions,
+    "metric-implementations": registered.metric_implementations,
+    "metric-outcomes": verdicts.metric_outcomes,
+    "metric-properties": checks.properties,
+    "offers": checks.offers,
+    "options": options.options,
+    "schema": formats.schema,
+}
+
+_MARKER = re.compile(r"^<!-- reference: (\S+)(.*) -->$", re.MULTILINE)
+
+
+def expand(markdown: str) -> str:
+    """The page with its generated parts; ``KeyError`` for a marker that names no part."""
+    return _MARKER.sub(lambda found: PARTS[found[1]](*found[2].split()), markdown)
