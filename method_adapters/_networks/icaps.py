@@ -17,6 +17,8 @@ CROP_SIDE, CODE_SIZE = 128, 128
 #: Points that LatentNet takes.
 POINT_COUNT = 4873
 LATENT_SIZE = 256
+#: From so many images on torch leaves 1x1 convolutions to oneDNN whatever the number of threads.
+IMAGES = 16
 
 
 class Encoder(nn.Module):
@@ -178,8 +180,8 @@ class Shape:
     and the matrices from directions and lengths.
     """
 
-    #: Points that go through the network together.
-    CHUNK = 16384
+    #: Points that go through the network together: their features stay in the cache.
+    CHUNK = 4096
 
     def __init__(self, network: DeepSdf, latent: Tensor) -> None:
         """``latent``: (1, 256)."""
@@ -196,6 +198,7 @@ class Shape:
                     weight = torch.cat([weight[:, :own], weight[:, -3:]], 1)
                 self._weights.append(weight.contiguous())
                 self._biases.append(bias)
+        self._transposed = [weight.T.contiguous() for weight in self._weights]
         self._latent_in = network.LATENT_IN
 
     @property
@@ -205,30 +208,49 @@ class Shape:
 
     def distances(self, points: Tensor) -> Tensor:
         """Signed distances (N,) at points (N, 3), model units."""
-        with torch.no_grad():
-            parts = torch.split(points, self.CHUNK)
-            return torch.cat([self._forward(part)[0] for part in parts])
+        with torch.inference_mode():
+            return torch.cat([self._forward(x)[0] for x in self._chunks(points)])[: len(points)]
 
     def distances_and_gradients(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Signed distances (N,) at points (N, 3) and their gradients (N, 3)."""
-        with torch.no_grad():
-            distance, active = self._forward(points)
-            slope = (1 - distance.square())[:, None] * self._weights[-1]
-            direct = torch.zeros_like(points)
-            for i in reversed(range(len(active))):
-                slope = (slope * active[i]) @ self._weights[i]
-                if i == self._latent_in:
-                    direct, slope = slope[:, -3:], slope[:, :-3]
-            return distance, slope + direct
+        with torch.inference_mode():
+            parts = [self._forward_and_back(x) for x in self._chunks(points)]
+            distances, gradients = (torch.cat(x)[: len(points)] for x in zip(*parts, strict=True))
+            return distances, gradients
+
+    def _chunks(self, points: Tensor) -> tuple[Tensor, ...]:
+        """The points in parts, if any, filled up to what :func:`_products` takes."""
+        filled = F.pad(points, (0, 0, 0, IMAGES - len(points) % IMAGES))
+        return torch.split(filled, self.CHUNK)
+
+    def _forward_and_back(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        distance, features = self._forward(points)
+        slope = (1 - distance.square())[:, None] * self._weights[-1]
+        direct = torch.zeros_like(points)
+        for i in reversed(range(len(features))):
+            # only where a unit is active its input matters
+            slope = _products(slope * features[i].sign_(), self._transposed[i])
+            if i == self._latent_in:
+                direct, slope = slope[:, -3:], slope[:, :-3]
+        return distance, slope + direct
 
     def _forward(self, points: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Signed distances, and per layer which of its units are active."""
-        x, active = points, []
+        """Signed distances, and per hidden layer its features."""
+        x, features = points, []
         for i, (weight, bias) in enumerate(zip(self._weights, self._biases, strict=True)):
             if i == self._latent_in:
                 x = torch.cat([x, points], 1)
-            x = torch.addmm(bias, x, weight.T)
+            x = _products(x, weight, bias)
             if i < len(self._weights) - 1:
-                x = x.relu_()
-                active.append(x > 0)
-        return torch.tanh(x[:, 0]), active
+                features.append(x.relu_())
+        return torch.tanh(x[:, 0]), features
+
+
+def _products(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """``x`` (N, A), N a multiple of ``IMAGES``, times the transpose of ``weight`` (B, A).
+
+    As a convolution over images whose channels lie side by side: for these torch calls oneDNN,
+    which on some processors is twice as fast as the matrix product of MKL.
+    """
+    images = x.view(IMAGES, -1, 1, x.shape[1]).permute(0, 3, 1, 2)
+    return F.conv2d(images, weight[:, :, None, None], bias).permute(0, 2, 3, 1).flatten(0, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,8 +20,8 @@ Array = NDArray[np.float64]
 
 #: Rotations of the codebook: elevations x azimuths x turns in the image.
 ROTATIONS = 37 * 72 * 72
-#: Crops that go through the encoder together.
-CHUNK = 50
+#: Crops that go through the encoder together: their features stay in the cache.
+CHUNK = 20
 #: Value of a crop where there is no object: as far behind it as a crop reaches.
 BACKGROUND = 1.0
 
@@ -58,7 +59,8 @@ class Matcher:
     """Compares crops of a depth image with a codebook."""
 
     def __init__(self, network: AutoEncoder, codebook: Codebook) -> None:
-        self._encoder = network.eval().encoder.to(codebook.codes.device)
+        encoder: Any = network.eval().encoder  # torch declares no layouts of modules
+        self._encoder = encoder.to(codebook.codes.device, memory_format=torch.channels_last)
         self.codebook = codebook
 
     def __call__(
@@ -73,14 +75,12 @@ class Matcher:
         image = torch.from_numpy(np.stack([depth, depth > 0]).astype(np.float32)).to(device)
         given = [torch.from_numpy(x.astype(np.float32)).to(device) for x in (rois, z, radius)]
         with torch.inference_mode(), full_precision():
-            parts = [
-                self._similarities(normalised_crops(image, *part))
+            codes = [
+                self._encoder(normalised_crops(image, *part))
                 for part in zip(*(torch.split(x, CHUNK) for x in given), strict=True)
             ]
-            return torch.cat(parts).cpu().numpy()
-
-    def _similarities(self, crops: Tensor) -> Tensor:
-        return F.normalize(self._encoder(crops), dim=1) @ self.codebook.codes.T
+            similarities = F.normalize(torch.cat(codes), dim=1) @ self.codebook.codes.T
+            return similarities.cpu().numpy()
 
 
 def normalised_crops(image: Tensor, rois: Tensor, z: Tensor, radius: Tensor) -> Tensor:

@@ -27,9 +27,10 @@ ROTATION_WEIGHT = 2
 LINEAR_REACH = 0.02
 #: Nodes per axis of the grids for the mesh: the first finds where the second is worth evaluating.
 COARSE, FINE = 32, 64
-#: Nodes whose distance, interpolated between coarse ones, is below this are evaluated: no
-#: surface is further from a coarse node than half a cell's diagonal.
-NEAR = 0.5 * 3**0.5 * (2 / (COARSE - 1) + 2 / (FINE - 1))
+#: Nodes whose distance, interpolated between coarse ones, is below this are evaluated. A surface
+#: crosses an edge only if both of its ends are no further than its length; interpolated distances
+#: are wrong by half a coarse cell's diagonal at most.
+NEAR = 3**0.5 / (COARSE - 1) + 2 / (FINE - 1)
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,18 @@ from torch import Tensor, nn
 
 #: Clouds up to this size are sampled with a table of all their distances, which is faster.
 TABLE_POINTS = 5000
+#: Distances that are computed together, so that they stay in the cache.
+CACHED = 1 << 17
 
 
 def squared_distances(a: Tensor, b: Tensor) -> Tensor:
     """Squared distances (B, M, N) of (B, M, 3) and (B, N, 3), summed in the kernels' order."""
-    x, y, z = (a[:, :, None, axis] - b[:, None, :, axis] for axis in range(3))
-    return x.square_().add_(y.square_()).add_(z.square_())
+    table = a.new_empty((len(a), a.shape[1], b.shape[1]))
+    rows = max(1, CACHED // b.shape[1])
+    for centres, part in zip(a.split(rows, 1), table.split(rows, 1), strict=True):
+        x, y, z = (centres[:, :, None, axis] - b[:, None, :, axis] for axis in range(3))
+        torch.add(x.square_().add_(y.square_()), z.square_(), out=part)
+    return table
 
 
 def tie_order(n: int, max_threads: int) -> Tensor:
@@ -99,16 +105,27 @@ def ball_query(distances: Tensor, radius: float, count: int) -> Tensor:
     first index found, or 0 if none was.
     """
     limit = float(np.float32(radius) * np.float32(radius))
-    inside = distances < limit
-    rank = inside.cumsum(-1, dtype=torch.int32)
-    # whatever is outside, or comes too late, goes to a place of its own that is cut off
-    place = torch.where(inside & (rank <= count), rank - 1, count).long()
-    index = torch.arange(distances.shape[-1], device=distances.device).expand_as(distances)
-    found = torch.zeros((*distances.shape[:2], count + 1), dtype=torch.int64, device=index.device)
-    found.scatter_(-1, place, index)
-    found = found[..., :count]
-    filled = torch.arange(count, device=index.device) < rank[..., -1:]
-    return torch.where(filled, found, found[..., :1])
+    batch, m, n = distances.shape
+    rows = distances.reshape(-1, n)
+    # one place more than asked for takes what comes too late
+    found = torch.zeros((len(rows), count + 1), dtype=torch.int64, device=rows.device)
+    hits = torch.zeros(len(rows), dtype=torch.int64, device=rows.device)
+    # most centres have their points long before the last column
+    open_rows, begin, width = torch.arange(len(rows), device=rows.device), 0, 4 * count
+    while begin < n and len(open_rows):
+        part = rows[:, begin : begin + width]
+        inside = (part if len(open_rows) == len(rows) else part[open_rows]) < limit
+        row, column = inside.nonzero(as_tuple=True)
+        new = inside.sum(1)
+        rank = torch.arange(len(row), device=rows.device) - (new.cumsum(0) - new)[row]
+        place = (rank + hits[open_rows][row]).clamp(max=count)
+        found[open_rows[row], place] = column + begin
+        hits[open_rows] += new
+        open_rows = open_rows[hits[open_rows] < count]
+        begin, width = begin + width, 2 * width
+    found = found[:, :count]
+    filled = torch.arange(count, device=rows.device) < hits[:, None]
+    return torch.where(filled, found, found[:, :1]).view(batch, m, count)
 
 
 def three_nearest(unknown: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
