@@ -26,12 +26,22 @@ def command_line() -> argparse.ArgumentParser:
     merge.add_argument("files", nargs="+", metavar="FILE", help="a file of --cpas-results")
     report = commands.add_parser(
         "report",
-        help="write the report of stored results",
+        help="write the report of stored results, and compare two runs",
         description="Judge the files of --cpas-results, of a run or of all its shards, as merge"
-        " does, and write report.html, report.md and report.json. Further options are pytest's.",
+        " does, and write the files of --cpas-report. Further options are pytest's. Of a single"
+        " report.json the report is written anew, without pictures.",
     )
-    report.add_argument("files", nargs="+", metavar="FILE", help="a file of --cpas-results")
+    report.add_argument(
+        "files", nargs="+", metavar="FILE", help="a file of --cpas-results, or one report.json"
+    )
     report.add_argument("--to", required=True, metavar="DIR", help="where to write the report")
+    report.add_argument(
+        "--against",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="compare with the runs in these files, results files or report.json",
+    )
     export = commands.add_parser(
         "export-bop",
         help="write stored results as the file that BOP's evaluation reads",
@@ -68,10 +78,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand and return its exit code."""
     parser = command_line()
     known, others = parser.parse_known_args(arguments)
+    if known.command == "report" and any(file.endswith(".json") for file in known.files):
+        if others or len(known.files) > 1:
+            rest = " ".join([*known.files[1:], *others])
+            parser.error(f"a report.json stands alone; not understood: {rest}")
+        return _report(Path(known.files[0]), Path(known.to), list(map(Path, known.against)))
     if known.command in ("merge", "report"):
-        files = [f"--cpas-merge={file}" for file in known.files]
-        to = [f"--cpas-report={known.to}"] if known.command == "report" else []
-        return int(pytest.main([*files, *to, *others]))
+        options = [f"--cpas-merge={file}" for file in known.files]
+        if known.command == "report":
+            options += [f"--cpas-report={known.to}"]
+            options += [f"--cpas-against={file}" for file in known.against]
+        return int(pytest.main([*options, *others]))
     if others:
         parser.error(f"unrecognized arguments: {' '.join(others)}")
     if known.command == "fetch":
@@ -79,6 +96,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if known.command == "new-adapter":
         return _new_adapter(known)
     return _export_bop(known)
+
+
+def _report(path: Path, to: Path, others: Sequence[Path]) -> int:
+    from pytest_cpas.report.against import against
+    from pytest_cpas.report.files import write_report
+    from pytest_cpas.report.stored import StoredReportError, read_report, read_runs
+    from pytest_cpas.results import ResultsError
+
+    try:
+        document = read_report(path)
+        if others:
+            document["against"] = against(document["runs"], read_runs(others))
+        write_report(document, to, {})
+    except (StoredReportError, ResultsError, OSError) as error:
+        print(f"pytest-cpas report: {error}", file=sys.stderr)
+        return 1
+    print(f"wrote {to / 'report.html'}, .md and .json")
+    return 0
 
 
 def _new_adapter(known: argparse.Namespace) -> int:

@@ -52,7 +52,7 @@ FSCORE_DISTANCE = 0.01
 THRESHOLDS: tuple[JointThreshold, ...] = PAPER_THRESHOLDS
 
 #: Under which definitions a row's errors are measured.
-_DEFINITIONS = {
+DEFINITIONS = {
     "translation_error": definition("translation_error", "euclidean").id(),
     "rotation_error": definition("rotation_error", "symmetry-group").id(),
     "iou": definition("iou", "oriented-symmetric").id(),
@@ -212,7 +212,7 @@ class Run(ABC):
         self.listed = Counter(sample.category for sample in samples)
         self.samples = (selection or Selection()).of(samples)
         self.missing, self.damaged = missing, damaged
-        self.identity: Mapping[str, str] = {**_DEFINITIONS, **identity}
+        self.identity: Mapping[str, str] = {**DEFINITIONS, **identity}
 
     @abstractmethod
     def judge(self, ref: SampleRef) -> Row:

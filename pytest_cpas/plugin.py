@@ -176,6 +176,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="write a report into DIR: report.html, report.md, report.json",
     )
     group.addoption(
+        "--cpas-against",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="with --cpas-report: compare with the runs in a report.json or in a file of"
+        " --cpas-results (repeatable)",
+    )
+    group.addoption(
         "--cpas-list",
         action="store_true",
         help="print what is registered, and which weights of the methods are there, and exit",

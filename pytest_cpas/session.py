@@ -28,9 +28,11 @@ from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
 from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
+from pytest_cpas.report.against import against, pairs
 from pytest_cpas.report.document import Document, document, run_document
 from pytest_cpas.report.files import write_report
 from pytest_cpas.report.robustness import print_curves
+from pytest_cpas.report.stored import StoredReportError, read_runs
 from pytest_cpas.report.terminal import print_run, shows_samples
 from pytest_cpas.results import MergedRun, ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.robustness import perturbation_of, perturbed
@@ -67,6 +69,7 @@ class CpasSession(SuiteSession):
         self.contract: dict[Run, dict[str, ContractResult]] = {run: {} for run in self.runs}
         self.errors: dict[Run, dict[str, str]] = {run: {} for run in self.runs}
         self.documents: list[Document] = []
+        self.others = _other_runs(config, self.runs)
         self._broken = 0
 
     def stage(self, run: Run) -> ContractStage | None:
@@ -186,6 +189,8 @@ class CpasSession(SuiteSession):
             from pytest_cpas.report.pictures import pictures  # Pillow, for a report only
 
             content = document(self.documents, session.testsfailed)
+            if self.others:
+                content["against"] = against(content["runs"], self.others)
             write_report(content, folder, pictures(self.runs, self.rows, self.documents))
         except OSError as error:
             message = f"{folder}: the report cannot be written ({error})"
@@ -351,6 +356,21 @@ def _method_runs(
         )
         runs.append(run)
     return runs
+
+
+def _other_runs(config: pytest.Config, runs: Sequence[Run]) -> list[Document]:
+    """What to compare the runs with; that they fit is known before any is judged."""
+    here = config.invocation_params.dir
+    paths = [here / name for name in config.option.cpas_against]
+    if not paths or hasattr(config, "workerinput"):
+        return []
+    names = ("method", "dataset", "identity")
+    try:
+        others = read_runs(paths)
+        pairs([{name: getattr(run, name) for name in names} for run in runs], others)
+    except (ResultsError, StoredReportError) as error:
+        raise pytest.UsageError(str(error)) from error
+    return others
 
 
 def _results_files(config: pytest.Config, runs: Sequence[Run]) -> dict[Run, ResultsFile]:

@@ -128,7 +128,7 @@ def run_document(
         "flips": [
             flip
             for name in sorted(old.keys() & new.samples.keys())
-            if (flip := _flip(name, old[name], new.samples[name]))
+            if (flip := flip_document(name, old[name], new.samples[name]))
         ],
         "samples": _samples(run, new, old, errors) if samples else [],
         "speed": speed,
@@ -229,8 +229,8 @@ def _published(dataset: str) -> Document:
     }
 
 
-def _flip(name: str, old: TableSample, new: TableSample) -> Document | None:
-    """At which thresholds a sample is judged otherwise than by the golden table."""
+def flip_document(name: str, old: TableSample, new: TableSample) -> Document | None:
+    """At which thresholds a sample is judged otherwise than before; None if at none."""
     told: dict[str, list[str]] = {"lost": [], "gained": [], "changed": []}
     for threshold, before, after in zip(THRESHOLDS, old.outcome, new.outcome, strict=True):
         if before != after:

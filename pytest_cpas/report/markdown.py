@@ -8,13 +8,17 @@ from collections.abc import Iterator, Sequence
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.tables import Cell, category_lines, groups, percent, precision_table
 from pytest_cpas.report.words import (
+    change_words,
     contract_words,
     flip_words,
     golden_words,
     judged_words,
     outcome_words,
+    pair_title,
+    pair_words,
     speed_lines,
     troubles,
+    worst_flips_first,
 )
 
 #: Lines of one kind before the rest is only counted: a job page takes 1 MiB.
@@ -46,6 +50,8 @@ def _lines(document: Document) -> Iterator[str]:
     )
     for run in document["runs"]:
         yield from _told(run)
+    if "against" in document:
+        yield from _against(document["against"], document["thresholds"])
     for title, runs, published in groups(document):
         yield f"## {_escape(title)}"
         yield ""
@@ -76,20 +82,7 @@ def _told(run: Document) -> Iterator[str]:
     if run["flips"]:
         yield "**Judged otherwise than by the golden table**"
         yield ""
-        yield from _table(
-            ["sample", "before", "now", "what changed"],
-            [
-                [
-                    _escape(flip["sample"]),
-                    _escape(flip["before"]),
-                    _escape(flip["after"]),
-                    flip_words(flip),
-                ]
-                for flip in run["flips"][:_SHOWN]
-            ],
-            "---",
-        )
-        yield from _rest(len(run["flips"]))
+        yield from _flips(run["flips"])
 
 
 def _speed(run: Document) -> Iterator[str]:
@@ -99,6 +92,47 @@ def _speed(run: Document) -> Iterator[str]:
         for line in speed_lines(run["speed"]):
             yield f"- {_escape(line)}"
         yield ""
+
+
+def _flips(flips: Sequence[Document]) -> Iterator[str]:
+    yield from _table(
+        ["sample", "before", "now", "what changed"],
+        [
+            [
+                _escape(flip["sample"]),
+                _escape(flip["before"]),
+                _escape(flip["after"]),
+                flip_words(flip),
+            ]
+            for flip in flips[:_SHOWN]
+        ],
+        "---",
+    )
+    yield from _rest(len(flips))
+
+
+def _against(against: Document, thresholds: Sequence[str]) -> Iterator[str]:
+    """The runs beside those of another one."""
+    for pair in against["pairs"]:
+        yield f"## {_escape(pair_title(pair))}"
+        yield ""
+        yield from _fenced(pair_words(pair))
+        yield from _table(
+            ["before → now", *thresholds],
+            [
+                [
+                    _escape(category),
+                    *("<br>".join(filter(None, change_words(entry))) for entry in entries),
+                ]
+                for category, entries in category_lines(pair)
+            ],
+        )
+        if pair["flips"]:
+            yield from _flips(worst_flips_first(pair["flips"]))
+    if against["unpaired"]:
+        yield "**Without a counterpart**"
+        yield ""
+        yield from _fenced(against["unpaired"])
 
 
 def _categories(run: Document, thresholds: Sequence[str]) -> Iterator[str]:

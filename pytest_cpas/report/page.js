@@ -11,9 +11,9 @@
   let shown = STEP;
 
   const all = data.runs.flatMap((run) =>
-    run.samples.map(([sample, category, outcome, golden, position, rotation, iou, fscore, remark, failure]) => ({
+    run.samples.map(([sample, category, outcome, golden, position, rotation, iou, fscore, remark, failure, since]) => ({
       run: run.name, sample, category: run.categories[category], outcome, golden, position, rotation, iou, fscore,
-      remark, failure,
+      remark, failure, since,
     })));
 
   const fill = (name, values) => {
@@ -31,6 +31,10 @@
     "no answer": (s) => s.outcome && s.failure,
     "not judged": (s) => !s.outcome,
   };
+  if (data.against) {
+    verdicts["lost since"] = (s, i) => s.since && s.since[i] === "-";
+    verdicts["gained since"] = (s, i) => s.since && s.since[i] === "+";
+  }
   fill("verdict", Object.keys(verdicts));
 
   const chosen = () => {

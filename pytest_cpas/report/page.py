@@ -18,12 +18,16 @@ from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import SEVERITY, Document
 from pytest_cpas.report.tables import Cell, category_lines, groups, percent, precision_table
 from pytest_cpas.report.words import (
+    change_words,
     contract_words,
     flip_words,
     golden_words,
     judged_words,
     outcome_words,
+    pair_title,
+    pair_words,
     troubles,
+    worst_flips_first,
 )
 
 #: Flips that the page lists with their errors; the list of samples has all.
@@ -46,6 +50,7 @@ def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, byt
         _header(document),
         element("div", [_card(run, index) for index, run in enumerate(runs)], class_="cards"),
         details[:failed],
+        _against(document["against"], document["thresholds"]) if "against" in document else None,
         [
             part
             for title, members, published in groups(document)
@@ -209,23 +214,72 @@ def _told(run: Document) -> Iterator[Element]:
         yield element("pre", "\n".join(lines))
     if run["flips"]:
         yield element("h3", "Judged otherwise than by the golden table")
+        yield from _flips(run["flips"])
+
+
+def _flips(flips: Sequence[Document]) -> Iterator[Element]:
+    yield _table(
+        ["sample", "category", "before", "now", "what changed"],
+        [
+            element(
+                "tr",
+                element("td", flip["sample"]),
+                element("td", flip["category"]),
+                element("td", flip["before"]),
+                element("td", flip["after"]),
+                element("td", flip_words(flip), class_="wrap"),
+            )
+            for flip in flips[:_FLIPS]
+        ],
+        text=True,
+    )
+    if len(flips) > _FLIPS:
+        yield element("p", f"and {len(flips) - _FLIPS} more", class_="faint")
+
+
+def _against(against: Document, thresholds: Sequence[str]) -> Iterator[Element]:
+    """The runs beside those of another one."""
+    yield element("h2", "Compared with another run", id="against")
+    for pair in against["pairs"]:
+        yield element("h3", pair_title(pair))
+        first, *conditions = pair_words(pair)
+        yield element("p", first)
+        if conditions:
+            yield element("pre", "\n".join(conditions))
         yield _table(
-            ["sample", "category", "before", "now", "what changed"],
+            ["before → now", *thresholds],
             [
-                element(
-                    "tr",
-                    element("td", flip["sample"]),
-                    element("td", flip["category"]),
-                    element("td", flip["before"]),
-                    element("td", flip["after"]),
-                    element("td", flip_words(flip), class_="wrap"),
-                )
-                for flip in run["flips"][:_FLIPS]
+                element("tr", element("td", category), [_change_cell(entry) for entry in entries])
+                for category, entries in category_lines(pair)
             ],
-            text=True,
         )
-        if len(run["flips"]) > _FLIPS:
-            yield element("p", f"and {len(run['flips']) - _FLIPS} more", class_="faint")
+        yield element(
+            "p",
+            "In brackets the difference in percentage points. p: McNemar's exact test, two-sided,"
+            " which takes samples for independent.",
+            class_="faint",
+        )
+        if pair["flips"]:
+            run = f"{pair['method']} on {pair['dataset']}"
+            links: list[Child] = []
+            for verdict, kind in (("lost since", "lost"), ("gained since", "gained")):
+                if count := sum(bool(flip[kind]) for flip in pair["flips"]):
+                    there = "#" + urlencode({"run": run, "verdict": verdict})
+                    links += [element("a", f"{count} {verdict}", href=there), " "]
+            yield element("p", links)
+            yield from _flips(worst_flips_first(pair["flips"]))
+    if against["unpaired"]:
+        yield element("p", "Without a counterpart: ", ", ".join(against["unpaired"]))
+
+
+def _change_cell(entry: Document) -> Element:
+    precision, flips = change_words(entry)
+    kind = {-1: "unmet", 0: None, 1: "met"}[_sign(entry["gained"] - entry["lost"])]
+    return element("td", element("span", precision, class_=kind), element("small", flips))
+
+
+def _sign(value: int) -> int:
+    return (value > 0) - (value < 0)
 
 
 def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
@@ -324,8 +378,11 @@ def _samples(several: bool) -> Element:
 
 def _data(document: Document) -> str:
     """What the script lists. No text in it can end the script element that it stands in."""
+    pairs = document.get("against", {"pairs": []})["pairs"]
+    since = {(pair["method"], pair["dataset"]): pair["flips"] for pair in pairs}
     runs = []
     for run in document["runs"]:
+        flips = {flip["sample"]: flip for flip in since.get((run["method"], run["dataset"]), ())}
         categories = sorted({sample["category"] for sample in run["samples"]})
         samples = [
             [
@@ -337,12 +394,23 @@ def _data(document: Document) -> str:
                 *(_short(sample[key]) for key in ("iou", "fscore_1cm")),
                 sample["error"] or sample["failure"],
                 sample["failure"] is not None,
+                _since(flips.get(sample["sample"]), document["thresholds"]),
             ]
             for sample in run["samples"]
         ]
         runs.append({"name": _name(run), "categories": categories, "samples": samples})
-    data = {"thresholds": document["thresholds"], "runs": runs}
+    data = {"thresholds": document["thresholds"], "runs": runs, "against": bool(pairs)}
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _since(flip: Document | None, thresholds: Sequence[str]) -> str | None:
+    """Per threshold whether another run lost (-) or gained (+) a sample, or neither (0)."""
+    if flip is None:
+        return None
+    return "".join(
+        "-" if label in flip["lost"] else "+" if label in flip["gained"] else "0"
+        for label in thresholds
+    )
 
 
 def _short(value: float | None) -> float | None:

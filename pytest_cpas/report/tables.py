@@ -63,10 +63,10 @@ def precision_table(
     ]
 
 
-def category_lines(run: Document) -> Iterator[tuple[str, list[Document]]]:
-    """The precision of a run per category: its entries in the order of the thresholds."""
-    for category in dict.fromkeys(entry["category"] for entry in run["precision"]):
-        yield category, [entry for entry in run["precision"] if entry["category"] == category]
+def category_lines(told: Document) -> Iterator[tuple[str, list[Document]]]:
+    """The precision of a run, or of two, per category: the entries in order of the thresholds."""
+    for category in dict.fromkeys(entry["category"] for entry in told["precision"]):
+        yield category, [entry for entry in told["precision"] if entry["category"] == category]
 
 
 def percent(count: Document) -> str:

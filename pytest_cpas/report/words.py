@@ -55,6 +55,38 @@ def flip_words(flip: Document) -> str:
     )
 
 
+def worst_flips_first(flips: Sequence[Document]) -> list[Document]:
+    """Flips that lost most thresholds first."""
+    return sorted(flips, key=lambda flip: len(flip["gained"]) - len(flip["lost"]))
+
+
+def pair_title(pair: Document) -> str:
+    """What is compared with what."""
+    other = "" if pair["other"] == pair["method"] else f" {pair['other']}"
+    return f"{pair['method']} on {pair['dataset']} against{other or ' the other run'}"
+
+
+def pair_words(pair: Document) -> list[str]:
+    """On which samples two runs are compared, and what else differs between them."""
+    count = pair["common"]
+    lines = [f"{count} samples judged in both" if count else "no sample was judged in both"]
+    for key, words in (("only_here", "in this run only"), ("only_there", "in the other run only")):
+        if pair[key]:
+            lines[0] += f"; {pair[key]} {words}"
+    return [*lines, *pair["differences"]]
+
+
+def change_words(entry: Document) -> tuple[str, str]:
+    """What changed in a cell of two runs: the precisions, and the flips with their probability."""
+    if entry["before"] is None:
+        return "n/a", ""
+    old, new = (100 * entry[k]["correct"] / entry[k]["total"] for k in ("before", "after"))
+    precision = f"{old:.1f} → {new:.1f} % ({new - old:+.1f})"
+    if entry["p"] is None:
+        return precision, "no flip"
+    return precision, f"{entry['lost']} lost, {entry['gained']} gained, p = {entry['p']:.2g}"
+
+
 def golden_words(run: Document) -> str:
     """The verdicts of a run, each word with its categories; what failed stands first."""
     words: dict[str, list[str]] = {}

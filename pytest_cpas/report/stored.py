@@ -1,0 +1,83 @@
+"""Reading back what was written of runs: reports and results files, as documents of runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+from pytest_cpas.evaluation import Row, SampleError
+from pytest_cpas.report.document import FORMAT, Document, run_document
+from pytest_cpas.results import MergedRun, merge
+
+
+class StoredReportError(Exception):
+    """A file that is no report of this version, or that does not fit another one."""
+
+
+def read_report(path: Path) -> Document:
+    """The document in a ``report.json``; :class:`StoredReportError` if it holds none."""
+    from jsonschema import Draft202012Validator  # slow to import
+    from jsonschema.exceptions import best_match
+
+    try:
+        content = json.loads(path.read_bytes(), parse_constant=_no_constant)
+    except (OSError, ValueError) as error:
+        raise StoredReportError(f"{path}: cannot be read as JSON ({error})") from error
+    if not isinstance(content, dict) or "format" not in content:
+        raise StoredReportError(f"{path}: not a report; expected the report.json of --cpas-report")
+    if content["format"] != FORMAT:
+        raise StoredReportError(
+            f"{path}: format {content['format']}, this version reads {FORMAT}; write the report"
+            " anew from the results files"
+        )
+    schema = json.loads(Path(__file__).with_name("schema.json").read_bytes())
+    wrong = best_match(Draft202012Validator(schema).iter_errors(content))
+    if wrong is not None:
+        raise StoredReportError(
+            f"{path}: --cpas-report of this version did not write it ({wrong.json_path}:"
+            f" {wrong.message[:200]})"
+        )
+    return cast(Document, content)
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is not JSON")
+
+
+def read_runs(paths: Sequence[Path]) -> list[Document]:
+    """The documents of the runs in reports (``.json``) and results files.
+
+    The results files of the shards of a run are put together; parts may be missing. Raises
+    :class:`StoredReportError`, and :class:`pytest_cpas.results.ResultsError`.
+    """
+    reports = [path for path in paths if path.suffix == ".json"]
+    results = [path for path in paths if path.suffix != ".json"]
+    runs = [run for path in reports for run in read_report(path)["runs"]]
+    runs += [_judged(run) for run in merge(results, allow_gaps=True)]
+    names = [(run["method"], run["dataset"]) for run in runs]
+    for method, dataset in names:
+        if names.count((method, dataset)) > 1:
+            raise StoredReportError(f"{method} on {dataset} is in these files more than once")
+    return runs
+
+
+def _judged(run: MergedRun) -> Document:
+    rows: list[Row] = []
+    errors: dict[str, str] = {}
+    for ref in run.samples:
+        try:
+            rows.append(run.judge(ref))
+        except SampleError as error:
+            errors[ref.id] = str(error)
+    return run_document(
+        run,
+        rows,
+        errors=errors,
+        verdicts=[],
+        require_golden=False,
+        contract=[],
+        findings=[],
+        golden=None,
+    )
