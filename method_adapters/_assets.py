@@ -32,23 +32,12 @@ def require_torch() -> None:
         raise ModuleNotFoundError("this method needs torch: pip install 'pytest-cpas[torch]'")
 
 
-def asset_path(folder: Path | None, asset: Asset) -> Path:
-    """The asset's file below the weights folder; FileNotFoundError if there is none."""
-    if folder is None or not (folder / asset.path).is_file():
-        where = "no weights folder is given" if folder is None else f"no file {folder / asset.path}"
-        raise FileNotFoundError(
-            f"{asset.path}: {where}. It is published at {asset.url} ({asset.licence}); fetch it,"
-            " and pass its folder with --cpas-weights DIR or CPAS_WEIGHTS"
-        )
-    return folder / asset.path
-
-
 def load_priors(folder: Path | None) -> NDArray[np.float32]:
     """The mean shapes (6, 1024, 3), categories in the order of CATEGORIES.
 
     Raises FileNotFoundError, or :class:`AssetError` for a file that holds something else.
     """
-    path = asset_path(folder, MEAN_SHAPES)
+    path = MEAN_SHAPES.locate(folder)
     expected = (
         f"expected {(len(CATEGORIES), 1024, 3)} finite numbers, each category about 1 in diagonal"
         f" (the published file has the md5 sum {MEAN_SHAPES_MD5})"

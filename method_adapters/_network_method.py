@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import asset_path, require_torch
+from method_adapters._assets import require_torch
 from method_adapters._crop import NoAnswerError
 from pytest_cpas.types import Hypothesis, MethodInfo, Observation, Prediction
 
@@ -61,7 +61,7 @@ class NetworkMethod(ABC, Generic[InputsT]):
         from method_adapters._networks.running import Runner, load_weights
 
         network = self.network()
-        load_weights(network, asset_path(assets, self.info.assets[0]), self.unused)
+        load_weights(network, self.info.assets[0].locate(assets), self.unused)
         self._run = Runner(network, device)
 
     def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from method_adapters._assets import NOCS_TERMS, asset_path, require_torch
+from method_adapters._assets import NOCS_TERMS, require_torch
 from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
 from method_adapters._shape_model import COMPONENTS, ShapeModel, read_shape_model
 from pytest_cpas._open3d import import_open3d
@@ -93,9 +93,9 @@ class AsmNet:
         self._run, self._models = {}, {}
         for category, weights, model in zip(CATEGORIES, _ASSETS[::2], _ASSETS[1::2], strict=True):
             network = Network()
-            load_weights(network, asset_path(assets, weights))
+            load_weights(network, weights.locate(assets))
             self._run[category] = Runner(network, device)
-            self._models[category] = read_shape_model(asset_path(assets, model))
+            self._models[category] = read_shape_model(model.locate(assets))
 
     def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:
         """One prediction per observation."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import NOCS_TERMS, asset_path, require_torch
+from method_adapters._assets import NOCS_TERMS, require_torch
 from method_adapters._crop import NoAnswerError
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._particle_filter import Belief, View, first_belief, next_belief
@@ -98,7 +98,7 @@ class ICaps:
         from method_adapters._networks.running import device_named
 
         self._paths = {
-            category: [asset_path(assets, asset) for asset in files]
+            category: [asset.locate(assets) for asset in files]
             for category, files in _ASSETS.items()
         }
         self._device = device_named(device)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from method_adapters._assets import asset_path, require_torch
+from method_adapters._assets import require_torch
 from method_adapters._crop import NoAnswerError, require_depth_pixels
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._sdfest_configuration import Configuration, read_configuration, released
@@ -105,7 +105,7 @@ class Sdfest:
         from method_adapters._networks.sdfest import InitNet, SdfVae
 
         self._device = device_named(device)
-        folder = asset_path(assets, self.info.assets[0]).parent
+        folder = self.info.assets[0].locate(assets).parent
         self._models = {}
         for category in self.info.categories:
             layers = configuration(folder, category)
@@ -116,7 +116,7 @@ class Sdfest:
                 SHAPENET_FROM_Z_UP if layers.z_up else np.eye(3),
             )
             for network, name in zip((model.init, model.vae), layers.weights, strict=True):
-                load_weights(network, asset_path(assets, asset(name, older=layers.z_up)))
+                load_weights(network, asset(name, older=layers.z_up).locate(assets))
                 network.eval().requires_grad_(False).to(self._device)
             self._models[category] = model
 

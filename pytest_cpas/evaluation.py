@@ -103,16 +103,11 @@ _FIELDS = {
 }
 
 
-def errors_of(rows: Sequence[Row]) -> Errors:
-    """The errors of rows by metric."""
-    return Errors(
-        {metric: [getattr(row, field) for row in rows] for metric, field in _FIELDS.items()}
-    )
-
-
 def outcomes(rows: Sequence[Row]) -> list[str]:
     """Per row one character for each of :data:`THRESHOLDS`: correct 1, not 0, n/a -."""
-    errors = errors_of(rows)
+    errors = Errors(
+        {metric: [getattr(row, field) for row in rows] for metric, field in _FIELDS.items()}
+    )
     columns = []
     for threshold in THRESHOLDS:
         judged = errors.judge(threshold)
@@ -147,11 +142,6 @@ def precision_table(judged: Iterable[tuple[str, str]]) -> Table:
             cell = Count(column.count("1"), len(column)) if column else None
             table[category][threshold.label] = cell
     return table
-
-
-def tabulate(rows: Sequence[Row]) -> Table:
-    """The table of rows."""
-    return precision_table(zip((row.category for row in rows), outcomes(rows), strict=True))
 
 
 @dataclass(frozen=True)

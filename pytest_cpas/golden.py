@@ -10,6 +10,7 @@ the counts are checked against them on reading. What a table says about a run is
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
 import io
 import json
@@ -27,7 +28,7 @@ import filelock
 
 from pytest_cpas._cache import cache_folder
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, outcomes, precision_table
-from pytest_cpas.metrics.precision import Count
+from pytest_cpas.metrics.precision import Count, Errors
 
 FORMAT = 2
 
@@ -109,10 +110,17 @@ class RunTable:
             run.seeds,
         )
 
-    @property
+    @functools.cached_property
     def table(self) -> Table:
         """The counts, of the first seed."""
         return precision_table((s.category, s.outcome) for s in self.samples.values())
+
+    @property
+    def errors(self) -> Errors:
+        """The errors of the samples by metric, of the first seed."""
+        metrics = ("position_m", "rotation_deg", "iou", "fscore")
+        samples = self.samples.values()
+        return Errors({m: [sample.errors[i] for sample in samples] for i, m in enumerate(metrics)})
 
     def recordable(self, previous: RunTable | None) -> RunTable:
         """This table with the categories of ``previous`` that it does not hold itself.

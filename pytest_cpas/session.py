@@ -20,11 +20,11 @@ import pytest
 from pytest_cpas import registry
 from pytest_cpas._suite_session import SuiteSession, report_outcome
 from pytest_cpas.checks.contract import CONTRACT, ContractResult
-from pytest_cpas.checks.contract.stage import ContractStage, StoredStage
+from pytest_cpas.checks.contract.stage import ContractStage, Stage, StoredStage
 from pytest_cpas.comparison import GOOD, Verdict, Word, compare
 from pytest_cpas.diagnosis import Finding
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
-from pytest_cpas.evaluation import MethodRun, Row, Run, Selection, tabulate
+from pytest_cpas.evaluation import MethodRun, Row, Run, Selection
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
 from pytest_cpas.predictions import StoredRun
 from pytest_cpas.published import compare_published, published_cells
@@ -72,11 +72,10 @@ class CpasSession(SuiteSession):
         self.others = _other_runs(config, self.runs)
         self._broken = 0
 
-    def stage(self, run: Run) -> ContractStage | None:
+    def stage(self, run: Run) -> Stage | None:
         """The contract of a run's method, if it is checked."""
         first = run.shared if isinstance(run, MethodRun) else None
-        stage = self.stages.get(first or run)
-        return stage if isinstance(stage, ContractStage) else None
+        return self.stages.get(first or run)
 
     # -- items ------------------------------------------------------------------------------
 
@@ -88,9 +87,7 @@ class CpasSession(SuiteSession):
             if item.path != self._suite or not callspec or "check" not in callspec.params:
                 continue
             if self.stages:
-                stage = self.stages[callspec.params["run"]]
-                if isinstance(stage, ContractStage):
-                    stage.asked = True
+                self.stages[callspec.params["run"]].asked = True
             else:  # what pytest makes of no values for a parameter
                 items.remove(item)
 
@@ -153,36 +150,45 @@ class CpasSession(SuiteSession):
     def _judge_runs(self, session: pytest.Session) -> None:
         for run in self.runs:
             rows = self._ordered(run)
-            findings = diagnose_run(run, rows, expected_precision(self.golden, run))
-            verdicts = [_explained(verdict, findings) for verdict in self._verdicts(run, rows)]
+            table = RunTable.of(run, rows)
+            golden = damaged = None
+            try:
+                golden = find_golden(self.golden, run.method, run.dataset)
+            except GoldenError as error:
+                damaged = Verdict(Word.DAMAGED, "all", str(error))
+            findings = diagnose_run(run, rows, table, expected_precision(golden, run))
+            if self.update:
+                found = [self._record(run, table)]
+            else:
+                found = [damaged] if damaged else _verdicts(run, table, golden)
+            verdicts = [_explained(verdict, findings) for verdict in found]
             for verdict in verdicts:
                 self._emit(session, run, verdict)
-            self.documents.append(self._document(run, verdicts, findings))
+            self.documents.append(self._document(run, table, golden, verdicts, findings))
         if folder := self.config.option.cpas_report:
             self._write_report(session, self.config.invocation_params.dir / folder)
 
     def _document(
-        self, run: Run, verdicts: Sequence[Verdict] = (), findings: Sequence[Finding] = ()
+        self,
+        run: Run,
+        table: RunTable,
+        golden: RunTable | None = None,
+        verdicts: Sequence[Verdict] = (),
+        findings: Sequence[Finding] = (),
     ) -> Document:
-        rows = self._ordered(run)
         return run_document(
             run,
-            rows,
+            table,
             errors=self.errors[run],
             verdicts=verdicts,
             require_golden=self.config.option.cpas_require_golden,
             contract=self.contract[run].values(),
             findings=findings,
-            golden=self._readable_golden(run),
-            # a large run has too many to list them for nobody
-            samples=bool(self.config.option.cpas_report) or shows_samples(self.config, len(rows)),
+            golden=golden,
+            # a large run has too many samples to list them for nobody
+            samples=bool(self.config.option.cpas_report)
+            or shows_samples(self.config, len(table.samples)),
         )
-
-    def _readable_golden(self, run: Run) -> RunTable | None:
-        try:
-            return find_golden(self.golden, run.method, run.dataset)
-        except GoldenError:  # which is a verdict
-            return None
 
     def _write_report(self, session: pytest.Session, folder: Path) -> None:
         try:
@@ -201,27 +207,15 @@ class CpasSession(SuiteSession):
         rows = self.rows[run]
         return [rows[ref.id] for ref in run.samples if ref.id in rows]
 
-    def _verdicts(self, run: Run, rows: list[Row]) -> list[Verdict]:
-        if not self.update:
-            try:
-                golden = find_golden(self.golden, run.method, run.dataset)
-            except GoldenError as error:
-                return [Verdict(Word.DAMAGED, "all", str(error))]
-            if golden is None and rows:
-                published = published_cells(run.dataset, run.method)
-                verdicts = compare_published(published, tabulate(rows))
-                if verdicts:
-                    return verdicts
-            return compare(golden, RunTable.of(run, rows))
+    def _record(self, run: Run, table: RunTable) -> Verdict:
         try:
             if self._broken or run.damaged:
                 raise GoldenError(f"{self._broken} items failed; a golden table needs none to")
             if run in self.stages and len(self.contract[run]) < len(CONTRACT):
                 raise GoldenError("the contract of the method was not checked; leave out -k")
-            folder = record(self.golden, RunTable.of(run, rows))
-            return [Verdict(Word.RECORDED, "all", str(folder))]
+            return Verdict(Word.RECORDED, "all", str(record(self.golden, table)))
         except GoldenError as error:
-            return [Verdict(Word.NOT_RECORDED, "all", str(error))]
+            return Verdict(Word.NOT_RECORDED, "all", str(error))
 
     def _emit(self, session: pytest.Session, run: Run, verdict: Verdict) -> None:
         """Report a verdict as if it were an item."""
@@ -237,7 +231,9 @@ class CpasSession(SuiteSession):
         if not self.is_controller:
             return
         # whoever interrupts a run sees what there is
-        documents = self.documents or [self._document(run) for run in self.runs]
+        documents = self.documents or [
+            self._document(run, RunTable.of(run, self._ordered(run))) for run in self.runs
+        ]
         for run in documents:
             sound = not any(verdict["outcome"] == "failed" for verdict in run["verdicts"])
             if perturbation_of(run["dataset"]) and sound and self.config.get_verbosity() <= 0:
@@ -253,6 +249,15 @@ class CpasSession(SuiteSession):
                     f"orphaned golden table: no method {folder.parent.name} is registered or was"
                     f" judged; if it is gone, remove {folder}"
                 )
+
+
+def _verdicts(run: Run, table: RunTable, golden: RunTable | None) -> list[Verdict]:
+    """Against the golden table; where there is none, against the published counts."""
+    if golden is None and table.samples:
+        verdicts = compare_published(published_cells(run.dataset, run.method), table.table)
+        if verdicts:
+            return verdicts
+    return compare(golden, table)
 
 
 def _explained(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
@@ -319,17 +324,15 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     return runs
 
 
-def _contract_stages(runs: Sequence[Run]) -> dict[Run, ContractStage | StoredStage]:
-    stages: dict[Run, ContractStage | StoredStage] = {}
+def _contract_stages(runs: Sequence[Run]) -> dict[Run, Stage]:
     try:
-        for run in runs:
-            if isinstance(run, MethodRun) and run.under_contract:
-                stages[run] = ContractStage(run)
-            elif isinstance(run, MergedRun) and run.under_contract:
-                stages[run] = StoredStage(run.contract)
+        return {
+            run: StoredStage(run.contract) if isinstance(run, MergedRun) else ContractStage(run)
+            for run in runs
+            if isinstance(run, MergedRun | MethodRun) and run.under_contract
+        }
     except ContractError as error:
         raise pytest.UsageError(str(error)) from error
-    return stages
 
 
 def _method_runs(
@@ -394,12 +397,9 @@ def _make_method(name: str, weights: Path | None) -> Callable[[], Method]:
             " class with info, load(assets, device) and predict(batch, seed)"
         )
     for asset in info.assets:
-        if weights is None or not (weights / asset.path).is_file():
-            where = f"{weights / asset.path} does not exist" if weights else "no --cpas-weights"
-            raise FileNotFoundError(
-                f"{info.name} needs {asset.path}: {where}. It is published at {asset.url}"
-                f" ({asset.licence}); fetch it, and pass its folder with --cpas-weights DIR or"
-                " CPAS_WEIGHTS"
-            )
+        try:
+            asset.locate(weights)
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"{info.name} needs {error}") from None
     make: Callable[[], Method] = factory
     return make

@@ -390,7 +390,7 @@ def _extents(value: ArrayLike) -> Array:
     return extents
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SampleRef:
     """An entry of a data set's index; no image is opened to make one.
 
@@ -494,6 +494,16 @@ class Asset:
     path: str
     url: str
     licence: str
+
+    def locate(self, weights: Path | None) -> Path:
+        """The file below the weights folder; :class:`FileNotFoundError` if it is not there."""
+        if weights is None or not (weights / self.path).is_file():
+            where = f"{weights / self.path} does not exist" if weights else "no --cpas-weights"
+            raise FileNotFoundError(
+                f"{self.path}: {where}. It is published at {self.url} ({self.licence}); fetch it,"
+                " and pass its folder with --cpas-weights DIR or CPAS_WEIGHTS"
+            )
+        return weights / self.path
 
 
 #: Changes of the image whose effect on the answer geometry dictates: the image shifted, at half its

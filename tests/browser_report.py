@@ -125,11 +125,12 @@ def stored_run(name, spoil):
     ]
     torn = [judged.pop(5).sample] if judged[0].failure else []
     errors = dict.fromkeys(torn, "</script><script>document.title = 'hacked'</script>")
+    table = RunTable.of(run, judged)
     return run_document(
         run,
-        judged,
+        table,
         errors=errors,
-        verdicts=compare(golden, RunTable.of(run, judged)),
+        verdicts=compare(golden, table),
         require_golden=False,
         contract=[],
         findings=[],

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import tiny
 from harness import RUN
+from tables import a_run
 
 from pytest_cpas.diagnosis.running import diagnose_run, is_far_below
 from pytest_cpas.evaluation import MethodRun, Row
+from pytest_cpas.golden import RunTable
 
 #: Judge the samples of an adapter that the contract would stop.
 ALL = ("-k", "not test_contract")
@@ -19,28 +21,32 @@ def rows(correct, total, iou=1.0):
     return [Row(f"{i}", "mug", 0.01 if i < correct else 0.1, 1, iou, None) for i in range(total)]
 
 
+def far_below(rows, expected):
+    return is_far_below(RunTable.of(a_run(), rows), expected)
+
+
 @pytest.mark.parametrize(
     ("correct", "expected", "far"),
     [(4, 0.8, False), (3, 0.8, True), (0, 0.0, False), (3, None, False), (2, None, True)],
 )
 def test_far_below(correct, expected, far):
     table = {} if expected is None else {("mug", "10 deg, 2 cm"): expected}
-    assert is_far_below(rows(correct, 10), table) is far
+    assert far_below(rows(correct, 10), table) is far
 
 
 def test_far_below_in_one_category_alone():
     bowls = [Row(f"b{i}", "bowl", 0.01, 1, None, None) for i in range(90)]
-    assert is_far_below([*rows(2, 10), *bowls], {})
-    assert not is_far_below([*rows(3, 10), *bowls], {})
+    assert far_below([*rows(2, 10), *bowls], {})
+    assert not far_below([*rows(3, 10), *bowls], {})
 
 
 @pytest.mark.parametrize(("iou", "far"), [(0.9, False), (0.4, True), (None, False)])
 def test_wrong_boxes_are_far_below_too(iou, far):
-    assert is_far_below(rows(10, 10, iou), {}) is far
+    assert far_below(rows(10, 10, iou), {}) is far
 
 
 def test_no_rows_are_not_far_below():
-    assert not is_far_below([], {("mug", "10 deg, 2 cm"): 1.0})
+    assert not far_below([], {("mug", "10 deg, 2 cm"): 1.0})
 
 
 def test_regression_is_explained_in_terminal_and_junit(recorded, pytester):
@@ -96,7 +102,8 @@ def test_truth_of_the_data_set_or_of_its_samples():
     found = []
     for dataset in (tiny.Tiny(None), Quick(None)):
         run = MethodRun(tiny.Undeclared(), dataset)
-        (finding,) = diagnose_run(run, [run.judge(ref) for ref in run.samples], {})
+        judged = [run.judge(ref) for ref in run.samples]
+        (finding,) = diagnose_run(run, judged, RunTable.of(run, judged), {})
         found.append(finding.lines())
     assert found[0] == found[1]
 

@@ -192,7 +192,7 @@ def a_told(run: Run, judged: list[Row], golden: RunTable | None = None, **more) 
         "findings": [],
         "golden": golden,
     }
-    return run_document(run, judged, **given | more)
+    return run_document(run, RunTable.of(run, judged), **given | more)
 
 
 def a_document(judged: list[Row], golden: RunTable | None = None, **more) -> dict:

@@ -15,6 +15,7 @@ from tables import REFS, Fixed, a_run, rows
 import pytest_cpas.report
 from pytest_cpas.cli import main
 from pytest_cpas.evaluation import Row
+from pytest_cpas.golden import RunTable
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.markdown import markdown
@@ -27,9 +28,10 @@ TEN, FIVE = "10 deg, 2 cm", "5 deg, 1 cm"
 
 
 def told(judged=None, run=None, errors=None) -> dict:
+    run = run or a_run()
     return run_document(
-        run or a_run(),
-        rows() if judged is None else judged,
+        run,
+        RunTable.of(run, rows() if judged is None else judged),
         errors=errors or {},
         verdicts=[],
         require_golden=False,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from pytest_cpas.diagnosis.evidence import BOX_IOU, Evidence
 from pytest_cpas.diagnosis.search import Finding, diagnose
 from pytest_cpas.estimates import decode_estimates
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run, outcomes, tabulate
-from pytest_cpas.golden import GoldenError, find_golden
+from pytest_cpas.evaluation import THRESHOLDS, Row, Run
+from pytest_cpas.golden import RunTable
 from pytest_cpas.published import published_cells
 from pytest_cpas.types import ContractError, GroundTruth, SampleRef
 
@@ -30,27 +29,23 @@ MOST_TRUTHS = 500
 Expected = Mapping[tuple[str, str], float]
 
 
-def expected_precision(golden: Path, run: Run) -> Expected:
-    """What the recorded table of a run, else the paper's, leads to expect; empty without one."""
-    try:
-        table = find_golden(golden, run.method, run.dataset)
-    except GoldenError:  # which is a verdict of its own
-        return {}
-    if table is None:
+def expected_precision(golden: RunTable | None, run: Run) -> Expected:
+    """What the golden table of a run, else the paper's, leads to expect; empty without one."""
+    if golden is None:
         cells = published_cells(run.dataset, run.method)
         return {(cell.category, cell.label): cell.low / cell.total for cell in cells}
     return {
         (category, label): count.precision
-        for category, counts in table.table.items()
+        for category, counts in golden.table.items()
         for label, count in counts.items()
         if count is not None
     }
 
 
-def is_far_below(rows: Sequence[Row], expected: Expected) -> bool:
-    """Whether rows are so much worse than expected that it is worth asking why."""
+def is_far_below(table: RunTable, expected: Expected) -> bool:
+    """Whether a run is so much worse than expected that it is worth asking why."""
     coarse = THRESHOLDS[0]
-    for category, counts in tabulate(rows).items():
+    for category, counts in table.table.items():
         for label, count in counts.items():
             least = FAR_BELOW * expected.get((category, label), 0.0)
             if not expected and label == coarse.label:
@@ -58,17 +53,22 @@ def is_far_below(rows: Sequence[Row], expected: Expected) -> bool:
             if count is not None and count.precision < least:
                 return True
     ious = [
-        row.iou
-        for row, outcome in zip(rows, outcomes(rows), strict=True)
-        if row.iou is not None and outcome[0] == "1"
+        iou
+        for sample in table.samples.values()
+        if (iou := sample.errors[2]) is not None and sample.outcome[0] == "1"
     ]
     return sum(iou >= BOX_IOU for iou in ious) < BOX_FLOOR * len(ious)
 
 
-def diagnose_run(run: Run, rows: Sequence[Row], expected: Expected) -> list[Finding]:
-    """What explains that a run is far below what is expected of it; empty if it is not."""
+def diagnose_run(
+    run: Run, rows: Sequence[Row], table: RunTable, expected: Expected
+) -> list[Finding]:
+    """What explains that a run is far below what is expected of it; empty if it is not.
+
+    ``table`` is that of ``rows``.
+    """
     info = run.info
-    if info is None or not is_far_below(rows, expected):
+    if info is None or not is_far_below(table, expected):
         return []
     if not run.quick_truth and len(rows) > MOST_TRUTHS:
         rows = [rows[i * len(rows) // MOST_TRUTHS] for i in range(MOST_TRUTHS)]

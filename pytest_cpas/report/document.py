@@ -16,7 +16,7 @@ from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.comparison import Verdict
 from pytest_cpas.diagnosis import Finding
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, errors_of
+from pytest_cpas.evaluation import THRESHOLDS, Run, Table
 from pytest_cpas.golden import RunTable, TableSample, differences
 from pytest_cpas.metrics.precision import Count, curve
 from pytest_cpas.published import (
@@ -62,7 +62,7 @@ def document(runs: Sequence[Document], failed_items: int) -> Document:
 
 def run_document(
     run: Run,
-    rows: Sequence[Row],
+    new: RunTable,
     *,
     errors: Mapping[str, str],
     verdicts: Sequence[Verdict],
@@ -75,11 +75,10 @@ def run_document(
 ) -> Document:
     """The document of one run.
 
-    ``errors``: why samples have no row; ``golden``: the recorded table, shown beside the run's if
-    it was made under the same conditions; ``speed``: what :mod:`pytest_cpas.timing` measured;
-    ``samples``: whether they are listed.
+    ``new``: its table; ``errors``: why samples have no row; ``golden``: the recorded table, shown
+    beside it if it was made under the same conditions; ``speed``: what :mod:`pytest_cpas.timing`
+    measured; ``samples``: whether they are listed.
     """
-    new = RunTable.of(run, rows)
     if golden is not None and differences(golden.identity, new.identity):
         golden = None
     old = golden.samples if golden else {}
@@ -106,9 +105,9 @@ def run_document(
         "dataset": run.dataset,
         "published_as": published,
         "outcome": "failed" if broken or slower else worst(v["outcome"] for v in told_verdicts),
-        "judged": len(rows),
+        "judged": len(new.samples),
         "listed": sum(run.listed.values()),
-        "unanswered": sum(row.failure is not None for row in rows),
+        "unanswered": sum(bool(sample.failure) for sample in new.samples.values()),
         "categories": _categories(run, new),
         "seeds": run.seeds,
         "missing": list(run.missing),
@@ -124,7 +123,7 @@ def run_document(
             golden.table if golden else {},
             published_cells(published, run.method) if published else [],
         ),
-        "curves": _curves(rows),
+        "curves": _curves(new),
         "flips": [
             flip
             for name in sorted(old.keys() & new.samples.keys())
@@ -192,12 +191,12 @@ def _published_count(cell: PublishedCell | None) -> Document | None:
     return {"lowest": cell.low, "highest": cell.high, "total": cell.total}
 
 
-def _curves(rows: Sequence[Row]) -> Document:
+def _curves(table: RunTable) -> Document:
     """Per metric the counts at :data:`CURVES`; None where the metric is n/a."""
-    errors = errors_of(rows)
+    errors = table.errors
     told: Document = {}
     for name, limits in CURVES.items():
-        counts = curve(errors, name.removesuffix("_1cm"), limits) if rows else None
+        counts = curve(errors, name.removesuffix("_1cm"), limits) if table.samples else None
         told[name] = counts and _points(limits, counts)
     return told
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import cast
 
 from pytest_cpas.evaluation import Row, SampleError
+from pytest_cpas.golden import RunTable
 from pytest_cpas.report.document import FORMAT, Document, run_document
 from pytest_cpas.results import MergedRun, merge
 
@@ -73,7 +74,7 @@ def _judged(run: MergedRun) -> Document:
             errors[ref.id] = str(error)
     return run_document(
         run,
-        rows,
+        RunTable.of(run, rows),
         errors=errors,
         verdicts=[],
         require_golden=False,

@@ -28,8 +28,9 @@ from threadpoolctl import threadpool_info
 from pytest_cpas.checks.contract import CONTRACT
 from pytest_cpas.checks.contract.stage import ContractStage
 from pytest_cpas.diagnosis.running import diagnose_run
-from pytest_cpas.evaluation import MethodRun, tabulate
+from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL
+from pytest_cpas.golden import RunTable
 from pytest_cpas.types import CATEGORIES, Hypothesis, Mesh, Observation, Prediction
 
 DIAGNOSIS = "diagnosis: "
@@ -515,8 +516,9 @@ def diagnosed(run: MethodRun) -> list[str]:
     """What the diagnosis says, as the catalogue names it."""
     rows = [run.judge(ref) for ref in run.samples]
     # the sound icp's table is full
-    expected = {(c, label): 1.0 for c, cells in tabulate(rows).items() for label in cells}
-    return [DIAGNOSIS + found.name for found in diagnose_run(run, rows, expected)]
+    table = RunTable.of(run, rows)
+    expected = {(c, label): 1.0 for c, cells in table.table.items() for label in cells}
+    return [DIAGNOSIS + found.name for found in diagnose_run(run, rows, table, expected)]
 
 
 def is_named(fault: Fault, names: Sequence[str]) -> bool:

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from method_adapters._assets import AssetError, asset_path, load_priors
+from method_adapters._assets import AssetError, load_priors
 from method_adapters._networks.running import Runner, load_weights, read_checkpoint
 
 
@@ -174,7 +174,7 @@ def test_asset_path_of_a_folder_is_none(tmp_path):
     asset = cases.METHODS["spd"].info.assets[1]
     (tmp_path / asset.path).mkdir()
     with pytest.raises(FileNotFoundError):
-        asset_path(tmp_path, asset)
+        asset.locate(tmp_path)
 
 
 @pytest.mark.parametrize("device", ["tpu9", "cuda:99", ""])

@@ -23,11 +23,13 @@ from pytest_cpas.checks.contract import (
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.diagnosis import diagnose_run
 from pytest_cpas.evaluation import MethodError, MethodRun, SampleError, Selection
+from pytest_cpas.golden import RunTable
 from pytest_cpas.types import ContractError, Method, Sample, SampleRef
 
 __all__ = [
     "ContractStage",
     "KnownViolation",
+    "Stage",
     "StoredStage",
     "known_violations",
     "smoke_samples",
@@ -171,11 +173,16 @@ class ContractStage:
                 rows.append(self.run.judge(ref))
             except SampleError:
                 continue  # a check says what is wrong with such an answer
-        return [line for finding in diagnose_run(self.run, rows, {}) for line in finding.lines()]
+        findings = diagnose_run(self.run, rows, RunTable.of(self.run, rows), {})
+        return [line for finding in findings for line in finding.lines()]
 
 
 class StoredStage:
     """The same of merged shards: of each check, the worst that a shard has found."""
+
+    #: As of :class:`ContractStage`; the shards have judged their samples, so nothing is stopped.
+    asked = False
+    wrong = ""
 
     def __init__(self, shards: Sequence[Mapping[str, Mapping[str, Any]]]) -> None:
         """From what each shard stored, by check."""
@@ -191,3 +198,6 @@ class StoredStage:
     def explanation(self) -> list[str]:
         """Nothing: there is no method to ask."""
         return []
+
+
+Stage = ContractStage | StoredStage
