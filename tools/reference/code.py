@@ -22,7 +22,6 @@ API: dict[str, tuple[str, ...]] = {
         "MethodError",
         "THRESHOLDS",
         "outcomes",
-        "tabulate",
     ),
     "pytest_cpas.golden": ("RunTable", "TableSample", "GoldenError", "find_golden", "record"),
     "pytest_cpas.comparison": ("compare", "Verdict", "Word"),
