@@ -184,6 +184,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         " --cpas-results (repeatable)",
     )
     group.addoption(
+        "--cpas-benchmark",
+        action="store_true",
+        help="time every method on every data set, with pytest-benchmark, after its samples;"
+        " -k test_speed times alone",
+    )
+    group.addoption(
+        "--cpas-benchmark-against",
+        metavar="NAME",
+        help="with --cpas-benchmark: time in turns with another method (a registered name or"
+        " package.module:Class), or with the method itself in another revision (git:REVISION);"
+        " without it, with a fixed calibration kernel, relative to which the time can be recorded",
+    )
+    group.addoption(
+        "--cpas-benchmark-fail",
+        metavar="SHARE",
+        help="with --cpas-benchmark: fail when a method takes longer by more than SHARE, such as"
+        " 20%% or 0.2, than what it is timed against, or than recorded by --snapshot-update",
+    )
+    group.addoption(
         "--cpas-list",
         action="store_true",
         help="print what is registered, and which weights of the methods are there, and exit",
@@ -243,3 +262,11 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_cpas.checks.dataset.session import DatasetSession
 
         config.pluginmanager.register(DatasetSession(config), "cpas-dataset-session")
+    if options.cpas_benchmark:
+        from pytest_cpas.timing.session import SpeedSession
+
+        config.pluginmanager.register(SpeedSession(config), "cpas-speed-session")
+    elif options.cpas_benchmark_against or options.cpas_benchmark_fail:
+        raise pytest.UsageError(
+            "--cpas-benchmark-against and --cpas-benchmark-fail need --cpas-benchmark"
+        )

@@ -68,6 +68,8 @@ class CpasSession(SuiteSession):
         self.stages = _contract_stages(self.runs)
         self.contract: dict[Run, dict[str, ContractResult]] = {run: {} for run in self.runs}
         self.errors: dict[Run, dict[str, str]] = {run: {} for run in self.runs}
+        #: What --cpas-benchmark measured; see :mod:`pytest_cpas.timing.session`.
+        self.speed: dict[Run, Document] = {}
         self.documents: list[Document] = []
         self.others = _other_runs(config, self.runs)
         self._broken = 0
@@ -157,7 +159,8 @@ class CpasSession(SuiteSession):
             except GoldenError as error:
                 damaged = Verdict(Word.DAMAGED, "all", str(error))
             findings = diagnose_run(run, rows, table, expected_precision(golden, run))
-            if self.update:
+            only_timed = not rows and self.config.option.cpas_benchmark
+            if self.update and not only_timed:
                 found = [self._record(run, table)]
             else:
                 found = [damaged] if damaged else _verdicts(run, table, golden)
@@ -185,6 +188,7 @@ class CpasSession(SuiteSession):
             contract=self.contract[run].values(),
             findings=findings,
             golden=golden,
+            speed=self.speed.get(run),
             # a large run has too many samples to list them for nobody
             samples=bool(self.config.option.cpas_report)
             or shows_samples(self.config, len(table.samples)),
@@ -302,7 +306,7 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     try:
         shard = Shard.parse(options.cpas_shard)
         selection = Selection(options.cpas_category, options.cpas_limit, shard.index, shard.count)
-        methods = [_make_method(name, weights) for name in options.cpas_method]
+        methods = [make_method(name, weights) for name in options.cpas_method]
         datasets = [registry.resolve("dataset", name)(data) for name in options.cpas_dataset]
         for make, dataset in itertools.product(methods, datasets):
             runs += _method_runs(make(), dataset, options, selection, weights)
@@ -387,7 +391,7 @@ def _results_files(config: pytest.Config, runs: Sequence[Run]) -> dict[Run, Resu
         raise pytest.UsageError(str(error)) from error
 
 
-def _make_method(name: str, weights: Path | None) -> Callable[[], Method]:
+def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
     """Check a method's class and its assets; nothing is loaded."""
     factory = registry.resolve("method", name)
     info = getattr(factory, "info", None)

@@ -616,6 +616,7 @@ def test_speed_is_told_beside_the_paper():
         "seconds": interval(0.25),
         "mean_seconds": 0.26,
         "rounds": 24,
+        "predictions_per_round": 1,
         "samples": 12,
         "stages": [{"name": "network", "seconds": 0.0002, "share": 0.8}],
         "memory": {"host_bytes": 2**30, "host_source": "predictions", "device_bytes": 2**20},

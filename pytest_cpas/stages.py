@@ -1,0 +1,61 @@
+"""Naming the stages of a prediction, for an adapter that wants them timed.
+
+``with stage("network"):`` costs next to nothing unless ``--cpas-benchmark`` listens. The names
+that the field uses are pre-processing, network and post-processing; any other will do as well.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+
+
+class StageClock:
+    """Adds up the ``seconds`` of every stage while it listens.
+
+    ``synchronise`` waits for what the device still computes; it is called on both sides of a stage.
+    A stage within a stage counts as a part of the outer one.
+    """
+
+    def __init__(self, synchronise: Callable[[], None]) -> None:
+        self.seconds: dict[str, float] = {}
+        self._synchronise = synchronise
+        self._inside = False
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Time the stages of this block; one clock at a time."""
+        global _clock
+        if _clock is not None:
+            raise RuntimeError("stages are being timed already")
+        _clock = self
+        try:
+            yield
+        finally:
+            _clock = None
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Add this block to a stage."""
+        if self._inside:
+            yield
+            return
+        self._inside = True
+        self._synchronise()
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._synchronise()
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self._inside = False
+
+
+_clock: StageClock | None = None
+_NOBODY = nullcontext()
+
+
+def stage(name: str) -> AbstractContextManager[None]:
+    """This block is a stage of the prediction, such as ``network``."""
+    return _NOBODY if _clock is None else _clock.timed(name)

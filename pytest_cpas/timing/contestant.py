@@ -1,0 +1,248 @@
+"""A method that is timed: in this process, or in a worker that this file is when it is run.
+
+A worker can be made to import another revision of the adapter, and of this package with it. So
+this file imports nothing of the package at the top, and what it needs of it has to be old.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+#: What peak memory is of.
+PREDICTIONS, PROCESS = "predictions", "process"
+
+
+def synchroniser(device: str) -> Callable[[], None]:
+    """What waits for all that ``device`` still computes: nothing, unless it is one of CUDA."""
+    torch = sys.modules.get("torch")
+    if torch is None or not device.startswith("cuda"):
+        return lambda: None
+    return lambda: torch.cuda.synchronize(device)
+
+
+def seconds_of(call: Callable[[], object], synchronise: Callable[[], None]) -> float:
+    """Seconds that a call takes, to the end of what it started on a device.
+
+    The garbage collector waits meanwhile.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        synchronise()
+        start = time.perf_counter()
+        call()
+        synchronise()
+        return time.perf_counter() - start
+    finally:
+        if collects:
+            gc.enable()
+
+
+class Contestant:
+    """A loaded method and the observations that it is timed with."""
+
+    def __init__(self, method: Any, observations: Sequence[Any], seed: int, device: str) -> None:
+        self._method, self._observations = method, observations
+        self._seed, self._device = seed, device
+        self._synchronise = synchroniser(device)
+        self._repetitions = 1
+
+    def repeat(self, repetitions: int) -> None:
+        """From now on, a prediction is timed as the mean of so many."""
+        self._repetitions = repetitions
+
+    def run(self, index: int) -> float:
+        """Seconds of one prediction, for the ``index``-th observation."""
+        return self.timed(lambda: self._predict(index)) / self._repetitions
+
+    def timed(self, call: Callable[[], object]) -> float:
+        """Seconds of any call that uses this method's device."""
+        return seconds_of(call, self._synchronise)
+
+    def _predict(self, index: int) -> None:
+        for _ in range(self._repetitions):
+            self._method.predict([self._observations[index]], self._seed)
+
+    def examine(self) -> dict[str, Any]:
+        """Some ``predictions`` for each observation: the ``total`` of their seconds, that of each
+        of their ``stages``, and the peak of ``memory``."""
+        from pytest_cpas.stages import StageClock
+
+        clock = StageClock(self._synchronise)
+        memory = PeakMemory(self._device)
+        with clock.listening():
+            seconds = [self.run(index) for index in range(len(self._observations))]
+        return {
+            "predictions": self._repetitions * len(seconds),
+            "total": self._repetitions * sum(seconds),
+            "stages": clock.seconds,
+            "memory": memory.peak(),
+        }
+
+    def facts(self) -> dict[str, Any]:
+        """The ``device``'s name, and ``threads`` and ``versions`` of the libraries in this
+        process."""
+        from threadpoolctl import threadpool_info
+
+        threads = {pool["internal_api"]: int(pool["num_threads"]) for pool in threadpool_info()}
+        versions = {"numpy": str(sys.modules["numpy"].__version__)}
+        device = self._device
+        torch = sys.modules.get("torch")
+        if torch is not None:
+            threads["torch"] = int(torch.get_num_threads())
+            versions["torch"] = str(torch.__version__)
+            if device.startswith("cuda"):
+                device = str(torch.cuda.get_device_name(device))
+                versions["cuda"] = str(torch.version.cuda)
+                versions |= _driver()
+        return {"device": device, "threads": threads, "versions": versions}
+
+
+def _driver() -> dict[str, str]:
+    """NVIDIA's kernel module says its version in a file, where it is loaded."""
+    try:
+        first = Path("/proc/driver/nvidia/version").read_text().splitlines()[0]
+    except (OSError, IndexError):
+        return {}
+    words = first.split()
+    numbers = [word for word in words if word[0].isdigit() and "." in word]
+    return {"driver": numbers[0]} if numbers else {}
+
+
+class PeakMemory:
+    """The peak of what this process, and torch on a device, hold from here on."""
+
+    def __init__(self, device: str) -> None:
+        self._torch = sys.modules.get("torch") if device.startswith("cuda") else None
+        self._device = device
+        if self._torch is not None:
+            self._torch.cuda.reset_peak_memory_stats(device)
+        try:
+            # Linux: the high-water mark of the resident memory begins anew
+            Path("/proc/self/clear_refs").write_text("5")
+            self._source = PREDICTIONS
+        except OSError:
+            self._source = PROCESS
+
+    def peak(self) -> dict[str, Any]:
+        """As below ``memory`` in the schema of the report."""
+        host = _high_water_mark() if self._source == PREDICTIONS else _peak_of_process()
+        on_device = None
+        if self._torch is not None:
+            on_device = int(self._torch.cuda.max_memory_allocated(self._device))
+        source = None if host is None else self._source
+        return {"host_bytes": host, "host_source": source, "device_bytes": on_device}
+
+
+def _high_water_mark() -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    (kilobytes,) = (line.split()[1] for line in lines if line.startswith("VmHWM:"))
+    return int(kilobytes) * 1024
+
+
+def _peak_of_process() -> int | None:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak) * (1 if sys.platform == "darwin" else 1024)
+
+
+# -- as a worker --------------------------------------------------------------------------------
+
+
+def _make(order: dict[str, Any]) -> Contestant:
+    """The contestant of an order: ``path`` (sys.path), ``module``, ``attribute``, ``inside`` (where
+    the module has to lie), ``weights``, ``device``, ``seed``, ``observations`` (a file)."""
+    sys.path[:] = order["path"]
+    module = importlib.import_module(order["module"])
+    inside = order["inside"]
+    origin = Path(module.__file__ or "").resolve()
+    if inside is not None and not origin.is_relative_to(inside):
+        raise ImportError(
+            f"{order['module']} was imported from {origin}, not from the revision in {inside}"
+        )
+    method: Any = module
+    for name in order["attribute"].split("."):
+        method = getattr(method, name)
+    method = method()
+    weights = order["weights"]
+    method.load(None if weights is None else Path(weights), order["device"])
+    observations = _read_observations(Path(order["observations"]))
+    return Contestant(method, observations, order["seed"], order["device"])
+
+
+def write_observations(path: Path, observations: Sequence[Any]) -> None:
+    """Keep observations in a file that any revision can read."""
+    import numpy as np
+
+    arrays: dict[str, Any] = {}
+    for index, seen in enumerate(observations):
+        camera = seen.camera
+        arrays[f"{index}.category"] = np.array(seen.category)
+        size = (camera.width, camera.height)
+        arrays[f"{index}.camera"] = np.array([*size, camera.fx, camera.fy, camera.cx, camera.cy])
+        arrays |= {f"{index}.{part}": getattr(seen, part) for part in ("rgb", "depth", "mask")}
+    np.savez(path, **arrays)
+
+
+def _read_observations(path: Path) -> list[Any]:
+    import numpy as np
+
+    from pytest_cpas.types import Camera, Observation
+
+    observations = []
+    with np.load(path) as arrays:
+        for index in range(len(arrays) // 5):
+            width, height, *intrinsics = arrays[f"{index}.camera"].tolist()
+            observations.append(
+                Observation(
+                    category=str(arrays[f"{index}.category"]),
+                    rgb=arrays[f"{index}.rgb"],
+                    depth=arrays[f"{index}.depth"],
+                    mask=arrays[f"{index}.mask"],
+                    camera=Camera(int(width), int(height), *intrinsics),
+                )
+            )
+    return observations
+
+
+def _serve(requests: IO[str], answers: IO[str]) -> None:
+    """One line of JSON per request: first an order, then names of methods with their arguments."""
+    contestant: Contestant | None = None
+    for line in requests:
+        request = json.loads(line)
+        try:
+            if contestant is None:
+                contestant = _make(request)
+                answer: Any = None
+            else:
+                answer = getattr(contestant, request["call"])(*request["arguments"])
+            told = {"answer": answer}
+        except Exception as error:
+            told = {"error": "".join(traceback.format_exception(error))}
+        answers.write(json.dumps(told) + "\n")
+        answers.flush()
+
+
+def main() -> None:
+    """Serve on the standard streams; what the method prints goes to the error stream."""
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
+        os.dup2(2, 1)
+        with contextlib.suppress(KeyboardInterrupt):  # the parent, too, was interrupted
+            _serve(sys.stdin, answers)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""On what a run time was measured."""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+from collections.abc import Mapping
+from typing import Any
+
+from cpuinfo import get_cpu_info
+
+
+def machine(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """As below ``machine`` in the schema of the report; ``facts`` as of
+    :meth:`pytest_cpas.timing.contestant.Contestant.facts`."""
+    return {
+        "cpu": _cpu(),
+        "cores": _cores(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "python": platform.python_version(),
+        "device": facts["device"],
+        "threads": dict(facts["threads"]),
+        "versions": dict(facts["versions"]),
+    }
+
+
+@functools.cache
+def _cpu() -> str:
+    """The model's name, by py-cpuinfo, with which pytest-benchmark describes machines as well."""
+    return str((get_cpu_info() or {}).get("brand_raw") or platform.machine())
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

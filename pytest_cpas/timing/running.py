@@ -1,0 +1,198 @@
+"""The speed of one method on one data set: who competes, the rounds, the verdict, the document."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.published import published_time
+from pytest_cpas.timing.calibration import Calibration, kernel_for
+from pytest_cpas.timing.comparison import WithRecord, WithRival
+from pytest_cpas.timing.contestant import Contestant, write_observations
+from pytest_cpas.timing.intervals import CONFIDENCE, LOOKS, Interval, median_interval
+from pytest_cpas.timing.machine import machine
+from pytest_cpas.timing.measuring import Rounds, time_rounds, timed_samples
+from pytest_cpas.timing.records import (
+    SpeedRecord,
+    identity_of,
+    provenance_of,
+    record_path,
+    write_record,
+)
+from pytest_cpas.timing.verdicts import Verdict, Word
+from pytest_cpas.timing.workers import Adapter, Revision, Worker
+from pytest_cpas.types import MethodInfo, Observation
+
+Document = dict[str, Any]
+
+#: A round has so many predictions that it takes at least as many seconds; the calibration kernel
+#: is repeated until it takes as long as a round, up to the second number.
+SHORTEST, LONGEST = 0.05, 0.25
+
+
+@dataclass(frozen=True)
+class Rival:
+    """What a method competes with: ``method``, another one, or itself in a ``revision``.
+
+    ``name`` as on the command line.
+    """
+
+    name: str
+    method: type | None = None
+    revision: str = ""
+
+    def of(self, method: type) -> Adapter | Revision:
+        """What competes with ``method``; :class:`pytest_cpas.timing.workers.TimingError` if that
+        has no such revision."""
+        return Adapter.of(self.method) if self.method else Revision.find(method, self.revision)
+
+    def categories(self, info: MethodInfo) -> list[str]:
+        """Those of a method that the rival knows as well."""
+        known: MethodInfo = getattr(self.method, "info", info)
+        return [category for category in info.categories if category in known.categories]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is asked for: without a ``rival`` it is the calibration kernel; without a ``limit``
+    nothing is judged; ``update`` records the ratio below ``golden``."""
+
+    golden: Path
+    weights: Path | None
+    device: str
+    rival: Rival | None
+    limit: float | None
+    update: bool
+
+
+class SpeedRun:
+    """The timing of one run, once."""
+
+    def __init__(self, run: MethodRun, plan: Plan) -> None:
+        self.run, self.plan = run, plan
+        self._rounds: Rounds | None = None
+
+    def elapsed(self) -> float:
+        """The clock for pytest-benchmark: the seconds that the method has taken in rounds."""
+        return self._rounds.elapsed() if self._rounds else 0.0
+
+    def measure(self, benchmark: Any) -> tuple[Verdict, Document]:
+        """The verdict, and what the report holds below ``speed`` but for that.
+
+        ``benchmark``: pytest-benchmark's fixture with :meth:`elapsed` for its timer. Raises what
+        the method raises; :class:`pytest_cpas.evaluation.MethodError` if it cannot be loaded,
+        :class:`pytest_cpas.types.ContractError` if no sample can be read,
+        :class:`pytest_cpas.timing.workers.TimingError` for workers and revisions, and
+        :class:`pytest_cpas.timing.records.RecordError` for what is recorded.
+        """
+        plan, info = self.plan, self.run.unloaded.info
+        categories = plan.rival.categories(info) if plan.rival else info.categories
+        samples = timed_samples(self.run, categories)
+        names = [sample.ref.id for sample in samples]
+        with ExitStack() as stack:
+            observations = [sample.observation for sample in samples]
+            candidate, reference = self._contestants(stack, observations)
+            repetitions = _warm_up(candidate, reference, len(samples))
+            examined, on = candidate.examine(), machine(candidate.facts())
+            rounds = self._rounds = Rounds(candidate, reference, len(samples))
+            identity = identity_of(self.run.identity, on, reference.name)
+            path = record_path(plan.golden, self.run.method, self.run.dataset, on)
+            if plan.update:
+                time_rounds(benchmark, rounds, LOOKS[-1:], lambda _: False)
+                record = SpeedRecord.of(names, rounds.by_sample(), identity, provenance_of(on))
+                write_record(path, record)
+                verdict, slowdown = Verdict(Word.RECORDED, str(path), None), None
+            else:
+                comparison: WithRival | WithRecord = (
+                    WithRival(reference.name, plan.limit)
+                    if plan.rival
+                    else WithRecord.of(path, identity, names, plan.limit)
+                )
+                time_rounds(benchmark, rounds, LOOKS, comparison.undecided)
+                verdict, slowdown = comparison.verdict(rounds), comparison.slowdown(rounds)
+        kind = "calibration"
+        if plan.rival:
+            kind = "method" if plan.rival.method else "revision"
+        reference_told = {"kind": kind, "name": reference.name}
+        paper = published_time(self.run.method)
+        return verdict, {
+            **_measured(rounds, examined, reference_told),
+            "predictions_per_round": repetitions,
+            "machine": on,
+            "slowdown": slowdown and asdict(slowdown),
+            "published": paper and asdict(paper),
+        }
+
+    def _contestants(
+        self, stack: ExitStack, observations: list[Observation]
+    ) -> tuple[Contestant | Worker, Calibration | Worker]:
+        """The method and its reference; in workers of the same kind if both are methods."""
+        run, plan = self.run, self.plan
+        if plan.rival is None:
+            here = Contestant(run.loaded(), observations, run.seed, plan.device)
+            return here, Calibration(kernel_for(plan.device), here.timed)
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pytest-cpas-")))
+        file = folder / "observations.npz"
+        write_observations(file, observations)
+        method = type(run.unloaded)
+        rival = plan.rival.of(method)
+        if isinstance(rival, Revision):
+            rival = rival.extract(folder)
+
+        def start(name: str, adapter: Adapter) -> Worker:
+            worker = Worker(
+                name, adapter, file, weights=plan.weights, seed=run.seed, device=plan.device
+            )
+            stack.callback(worker.close)
+            return worker
+
+        return start(run.method, Adapter.of(method)), start(plan.rival.name, rival)
+
+
+def _warm_up(candidate: Contestant | Worker, reference: Calibration | Worker, samples: int) -> int:
+    """Each sample once: networks choose algorithms, priors are built, memory is taken.
+
+    Then short predictions are repeated, so that a round is not over before the machine has done
+    something else once; how often is returned.
+    """
+    seconds = statistics.median(candidate.run(index) for index in range(samples))
+    rival = statistics.median(reference.run(index) for index in range(samples))
+    repetitions = max(1, round(SHORTEST / max(seconds, 1e-6)))
+    candidate.repeat(repetitions)
+    if isinstance(reference, Calibration):
+        length = min(max(seconds, SHORTEST), LONGEST)
+        reference.repeat(max(1, round(length / max(rival, 1e-6))))
+    else:
+        reference.repeat(repetitions)
+    return repetitions
+
+
+def _measured(rounds: Rounds, examined: Document, reference: Document) -> Document:
+    """What the rounds, and :meth:`Contestant.examine`, give."""
+
+    def told(values: list[float]) -> Document:
+        interval: Interval = median_interval(values, CONFIDENCE)
+        return asdict(interval)
+
+    return {
+        "seconds": told(rounds.candidate_seconds),
+        "mean_seconds": statistics.fmean(rounds.candidate_seconds),
+        "rounds": len(rounds.candidate_seconds),
+        "samples": rounds.samples,
+        "stages": [
+            {
+                "name": name,
+                "seconds": seconds / examined["predictions"],
+                "share": min(seconds / examined["total"], 1.0),
+            }
+            for name, seconds in examined["stages"].items()
+        ],
+        "memory": examined["memory"],
+        "reference": {**reference, "seconds": told(rounds.reference_seconds)},
+        "ratio": told([ratio for _, ratio in rounds.ratios]),
+    }

@@ -1,0 +1,91 @@
+"""The verdict on a method's speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+from pytest_cpas.timing.intervals import Interval, decide
+
+
+class Word(Enum):
+    """How a method's time compares."""
+
+    SLOWER = "SLOWER"
+    NOT_SLOWER = "NOT SLOWER"
+    FASTER = "FASTER"
+    UNDECIDED = "UNDECIDED"
+    NOT_COMPARED = "NOT COMPARED"
+    MEASURED = "MEASURED"
+    RECORDED = "RECORDED"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A word, and for people why; ``limit`` is the slow-down that is too much, if one was given."""
+
+    word: Word
+    details: str
+    limit: float | None
+
+    def outcome(self, require_golden: bool) -> Literal["passed", "failed", "skipped"]:
+        """As what the item ends; ``require_golden``: what could not be judged fails."""
+        if self.word in (Word.UNDECIDED, Word.NOT_COMPARED):
+            return "failed" if require_golden else "skipped"
+        return "failed" if self.word is Word.SLOWER else "passed"
+
+    def __str__(self) -> str:
+        return f"{self.word.value}: {self.details}"
+
+
+def judge(
+    slowdown: Interval | None, reference: str, limit: float | None, quadruples: int
+) -> Verdict:
+    """The verdict on a slow-down relative to ``reference`` (in words).
+
+    Without a slow-down ``reference`` says why there is none. Without a limit nothing is judged.
+    """
+    if slowdown is None:
+        word = Word.MEASURED if limit is None else Word.NOT_COMPARED
+        return Verdict(word, reference, limit)
+    told = (
+        f"{slowdown.median:.3g} times {reference} ({slowdown.lower:.3g} to {slowdown.upper:.3g}"
+        f" with {100 * slowdown.confidence:.3g} % confidence, {quadruples} quadruples)"
+    )
+    if limit is None:
+        return Verdict(Word.MEASURED, f"{told}; not judged without --cpas-benchmark-fail", None)
+    found = decide(slowdown, limit)
+    words = {
+        "slower": (Word.SLOWER, f"{told}; allowed are {limit:.4g} times"),
+        "not slower": (Word.NOT_SLOWER, f"{told}; allowed are {limit:.4g} times"),
+        "faster": (Word.FASTER, told),
+        "undecided": (
+            Word.UNDECIDED,
+            f"{told}; the limit of {limit:.4g} times lies in between. Give the machine less else to"
+            " do, or another limit",
+        ),
+    }
+    return Verdict(*words[found], limit)
+
+
+def parse_limit(text: str) -> float:
+    """The factor, above 1, of a slow-down written as ``20%`` or ``0.2``; ValueError for others."""
+    number, percent = text.strip(), False
+    if number.endswith("%"):
+        number, percent = number[:-1].rstrip(), True
+    try:
+        share = float(number) / (100 if percent else 1)
+    except ValueError:
+        share = float("nan")
+    if not 0 < share < 100:  # NaN is not
+        raise ValueError(
+            f"--cpas-benchmark-fail is {text!r}, expected by how much longer is too much, such as"
+            " 20% or 0.2"
+        )
+    if share > 2 and not percent:
+        raise ValueError(
+            f"--cpas-benchmark-fail is {text!r}, which is {100 * share:g} %: write {share:g}%, or"
+            f" {100 * share:g}% if that is meant"
+        )
+    return 1 + share
