@@ -52,6 +52,11 @@ def published_cells(dataset: str, method: str) -> list[PublishedCell]:
     ]
 
 
+def published_datasets() -> list[str]:
+    """The data sets that the paper's table has."""
+    return sorted({line["dataset"] for line in _read("precision.csv")})
+
+
 def published_methods(dataset: str) -> list[str]:
     """The methods that the paper's table of a data set has; empty if it has none."""
     return sorted({x["method"] for x in _read("precision.csv") if x["dataset"] == dataset})
@@ -97,7 +102,7 @@ def published_name(dataset: str, listed: Mapping[str, int]) -> str | None:
     if published_methods(dataset):
         return dataset
     if dataset == STORED:
-        for name in sorted({line["dataset"] for line in _read("precision.csv")}):
+        for name in published_datasets():
             if published_sample_counts(name) == dict(listed):
                 return name
     return None

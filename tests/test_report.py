@@ -416,7 +416,7 @@ def test_published_curves_stand_beside_the_measured_ones():
             for x in csv.DictReader(file)
             if (x["dataset"], x["method"], x["threshold_on"]) == ("real275", "spd", "rotation_deg")
         ]
-    ys = sorted({float(line.get("y1")) for line in figure.iter("line") if line.get("x1") == "40"})
+    ys = sorted({float(line.get("y1")) for line in figure.iter("line") if line.get("x1") == "44"})
     top, bottom = ys[0], ys[-1]  # 100 % and 0 %
     left, right = drawn["spd (paper)"][0][0], drawn["spd (paper)"][-1][0]
     assert len(points) == len(drawn["spd (paper)"]) == 21

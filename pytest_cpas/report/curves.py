@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.document import Document
 
@@ -15,8 +16,8 @@ _AXES = {
     "fscore_1cm": ("F-score (1 cm) at least", 1, ""),
 }
 
-#: Of a chart and of its axes, in units of the SVG.
-_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 360, 250, 40, 10, 10, 40
+#: Of a chart, in units of the SVG.
+_WIDTH, _HEIGHT = 360, 250
 
 #: Colours in page.css.
 _COLOURS = 12
@@ -80,33 +81,18 @@ def _chart(name: str, factor: float, label: str, lines: Sequence[Line]) -> Eleme
     largest: float = max(
         factor * point["threshold"] for line in lines for point in line.curves.get(name) or ()
     )
-    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-
-    def across(value: float) -> float:
-        return round(_LEFT + (right - _LEFT) * value / largest, 1)
-
-    def up(share: float) -> float:
-        return round(bottom - (bottom - _TOP) * share, 1)
-
-    parts: list[Element] = []
-    for step in range(6):
-        share, value = step / 5, largest * step / 5
-        x, y = across(value), up(share)
-        parts += [
-            element("line", x1=_LEFT, x2=right, y1=y, y2=y, class_="grid"),
-            element("line", x1=x, x2=x, y1=_TOP, y2=bottom, class_="grid"),
-            element("text", f"{100 * share:.0f} %", x=_LEFT - 5, y=y + 3.5, text_anchor="end"),
-            element("text", f"{value:g}", x=x, y=bottom + 15, text_anchor="middle"),
-        ]
-    middle = (_LEFT + right) / 2
-    parts.append(
-        element("text", f"precision, {label}", x=middle, y=_HEIGHT - 6, text_anchor="middle")
-    )
+    axes = Axes(_WIDTH, _HEIGHT, (largest, 1.0))
+    parts: list[Element] = [
+        *axes.grid(
+            lambda value: f"{value:g}", lambda share: f"{100 * share:.0f} %", f"precision, {label}"
+        )
+    ]
     for line in lines:
         points = line.curves.get(name)
         if points:
             path = " ".join(
-                f"{across(factor * point['threshold'])},{up(point['correct'] / point['total'])}"
+                f"{axes.across(factor * point['threshold'])},"
+                f"{axes.up(point['correct'] / point['total'])}"
                 for point in points
             )
             told = element("title", f"{line.method}{' (paper)' if line.paper else ''}")

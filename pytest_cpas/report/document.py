@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from pytest_cpas.checks.contract import ContractResult
@@ -24,8 +25,10 @@ from pytest_cpas.published import (
     count_problems,
     published_cells,
     published_curves,
+    published_datasets,
     published_methods,
     published_name,
+    published_time,
 )
 
 FORMAT = 1
@@ -43,8 +46,8 @@ CURVES: Mapping[str, Sequence[float]] = {
 def document(runs: Sequence[Document], failed_items: int) -> Document:
     """The document of a session: its runs, as of :func:`run_document`, failing ones first.
 
-    ``failed_items`` counts the test items that failed, whatever they tested. The published tables
-    of the runs' data sets stand beside.
+    ``failed_items`` counts the test items that failed, whatever they tested. If a run is on a data
+    set of the paper, the published tables stand beside.
     """
     outcome = "failed" if failed_items else worst(run["outcome"] for run in runs)
     return {
@@ -53,10 +56,9 @@ def document(runs: Sequence[Document], failed_items: int) -> Document:
         "failed_items": failed_items,
         "thresholds": [threshold.label for threshold in THRESHOLDS],
         "runs": sorted(runs, key=lambda run: SEVERITY.index(run["outcome"])),
-        "published": {
-            name: _published(name)
-            for name in sorted({run["published_as"] for run in runs} - {None})
-        },
+        "published": {name: _published(name) for name in published_datasets()}
+        if any(run["published_as"] for run in runs)
+        else {},
     }
 
 
@@ -223,6 +225,7 @@ def _published(dataset: str) -> Document:
                 name: _points([limit for limit, _ in points], [count for _, count in points])
                 for name, points in published_curves(dataset, method).items()
             },
+            "run_time": (time := published_time(method)) and asdict(time),
         }
         for method in published_methods(dataset)
     }

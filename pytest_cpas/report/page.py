@@ -16,7 +16,17 @@ from urllib.parse import urlencode
 from pytest_cpas.report._html import Child, Element, element, page_text
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import SEVERITY, Document
-from pytest_cpas.report.tables import Cell, category_lines, groups, percent, precision_table
+from pytest_cpas.report.scatter import PAIRS, dataset_pairs, methods
+from pytest_cpas.report.scatter import charts as scatter_charts
+from pytest_cpas.report.tables import (
+    Cell,
+    Line,
+    category_lines,
+    category_tables,
+    groups,
+    percent,
+    precision_table,
+)
 from pytest_cpas.report.words import (
     change_words,
     contract_words,
@@ -26,6 +36,8 @@ from pytest_cpas.report.words import (
     outcome_words,
     pair_title,
     pair_words,
+    seconds_words,
+    speed_lines,
     troubles,
     worst_flips_first,
 )
@@ -56,10 +68,16 @@ def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, byt
             for title, members, published in groups(document)
             for part in (
                 element("h2", f"Precision on {title}"),
-                _precision_table(document["thresholds"], members, published),
+                _method_table(
+                    ["correct at", *document["thresholds"]],
+                    precision_table(document["thresholds"], members, published),
+                ),
+                *_category_tables(document["thresholds"], members, published),
                 element("div", list(charts(curve_lines(published, members))), class_="charts"),
             )
         ],
+        list(_overview(document)),
+        list(_run_times(document)),
         element("h2", "Runs without failures") if details[failed:] else None,
         details[failed:],
         _samples(len(runs) > 1),
@@ -153,11 +171,9 @@ def _table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = Fals
     )
 
 
-def _precision_table(
-    thresholds: Sequence[str], runs: Sequence[Document], published: Document
-) -> Element:
+def _method_table(head: Sequence[str], lines: Sequence[Line]) -> Element:
     return _table(
-        ["correct at", *thresholds],
+        head,
         [
             element(
                 "tr",
@@ -165,9 +181,102 @@ def _precision_table(
                 [_precision_cell(cell) for cell in line.cells],
                 class_="paper" if line.paper else None,
             )
-            for line in precision_table(thresholds, runs, published)
+            for line in lines
         ],
     )
+
+
+def _category_tables(
+    thresholds: Sequence[str], runs: Sequence[Document], published: Document
+) -> Iterator[Element]:
+    for threshold, categories, lines in category_tables(thresholds, runs, published):
+        yield element(
+            "details",
+            element("summary", f"Per category at {threshold}"),
+            _method_table(["correct", *categories], lines),
+        )
+
+
+def _overview(document: Document) -> Iterator[Element]:
+    """Methods on two data sets each."""
+    pairs, shown = dataset_pairs(document), methods(document)
+    if pairs:
+        yield element("h2", "Two data sets at a time", id="overview")
+    for index, pair in enumerate(pairs[:PAIRS]):
+        head = ["%", *(f"{name}, {label}" for label in document["thresholds"] for name in pair)]
+        known = [method for method in shown if {*pair} & method.precision.keys()]
+        lines = [
+            element(
+                "tr",
+                element("td", method.title),
+                [
+                    element("td", "n/a" if share is None else f"{100 * share:.1f}")
+                    for label in document["thresholds"]
+                    for share in (method.precision.get(name, {}).get(label) for name in pair)
+                ],
+                element("td", "-" if method.seconds is None else seconds_words(method.seconds)),
+                class_="paper" if method.paper else None,
+            )
+            for method in known
+        ]
+        yield element(
+            "details",
+            element("summary", f"{pair[0]} and {pair[1]}"),
+            element(
+                "div",
+                list(scatter_charts(known, pair, document["thresholds"])),
+                class_="charts",
+            ),
+            element(
+                "details",
+                element("summary", "The numbers"),
+                _table([*head, "mean run time"], lines),
+            ),
+            open=index == 0,
+            class_="overview",
+        )
+    if len(pairs) > PAIRS:
+        rest = ", ".join(f"{a} and {b}" for a, b in pairs[PAIRS:])
+        yield element("p", f"Not drawn: {rest}", class_="faint")
+
+
+def _run_times(document: Document) -> Iterator[Element]:
+    """What was measured, and the paper's times with their machine; neither is judged here."""
+    timed = [run for run in document["runs"] if run["speed"]]
+    if not timed:
+        return
+    yield element("h2", "Run time", id="run-time")
+    for run in timed:
+        first, *rest = speed_lines(run["speed"])
+        yield element("h3", _name(run))
+        yield element("p", first, class_=run["speed"]["verdict"]["outcome"])
+        yield element("ul", [element("li", line) for line in rest])
+    printed: dict[str, Document] = {
+        method: entry["run_time"]
+        for entries in document["published"].values()
+        for method, entry in entries.items()
+        if entry["run_time"]
+    }
+    if printed:
+        machines = sorted({time["machine"] for time in printed.values()})
+        datasets = sorted({time["dataset"] for time in printed.values()})
+        yield element(
+            "p",
+            f"The paper prints, as means per prediction on {', '.join(datasets)} with"
+            f" {'; '.join(machines)} (another machine: to look at, not to judge by):",
+        )
+        yield _table(
+            ["method", "mean run time"],
+            [
+                element(
+                    "tr",
+                    element("td", f"{method} (paper)"),
+                    element("td", seconds_words(time["mean_seconds"])),
+                    class_="paper",
+                )
+                for method, time in printed.items()
+            ],
+        )
 
 
 def _precision_cell(cell: Cell | None) -> Element:

@@ -49,17 +49,47 @@ def precision_table(
     The best three of a column are marked among those that were judged on as many samples as any;
     a single method is not marked.
     """
-    lines = [
-        (run["method"], False, _overall(run["precision"], "measured", thresholds)) for run in runs
-    ]
+    return _lines(runs, published, [("all", threshold) for threshold in thresholds])
+
+
+def category_tables(
+    thresholds: Sequence[str], runs: Sequence[Document], published: Document
+) -> Iterator[tuple[str, list[str], list[Line]]]:
+    """The tables of one data set per category, as (threshold, categories, lines).
+
+    There is one for each threshold at which more than one method is known per category; the last
+    of the categories is "all". The best three are marked as in :func:`precision_table`.
+    """
+    entries = [entry for told in (*runs, *published.values()) for entry in told["precision"]]
+    for threshold in thresholds:
+        told = {
+            entry["category"]
+            for entry in entries
+            if entry["threshold"] == threshold and (entry.get("measured") or entry["published"])
+        }
+        categories = [*sorted(told - {"all"}), "all"]
+        lines = [
+            line
+            for line in _lines(runs, published, [(name, threshold) for name in categories])
+            if any(line.cells[:-1])
+        ]
+        if len(lines) > 1:
+            yield threshold, categories, lines
+
+
+def _lines(
+    runs: Sequence[Document], published: Document, columns: Sequence[tuple[str, str]]
+) -> list[Line]:
+    """Lines with a cell for each (category, threshold), the best three of a column marked."""
+    lines = [(run["method"], False, _cells(run["precision"], "measured", columns)) for run in runs]
     lines += [
-        (method, True, _overall(entry["precision"], "published", thresholds))
+        (method, True, _cells(entry["precision"], "published", columns))
         for method, entry in published.items()
     ]
-    columns = [_ranked(column) for column in zip(*(cells for *_, cells in lines), strict=True)]
+    ranked = [_ranked(column) for column in zip(*(cells for *_, cells in lines), strict=True)]
     return [
         Line(method, paper, cells)
-        for (method, paper, _), cells in zip(lines, zip(*columns, strict=True), strict=True)
+        for (method, paper, _), cells in zip(lines, zip(*ranked, strict=True), strict=True)
     ]
 
 
@@ -74,15 +104,15 @@ def percent(count: Document) -> str:
     return _cell(count).percent
 
 
-def _overall(
-    entries: Sequence[Document], kind: str, thresholds: Sequence[str]
+def _cells(
+    entries: Sequence[Document], kind: str, columns: Sequence[tuple[str, str]]
 ) -> list[Cell | None]:
     counts = {
-        entry["threshold"]: entry[kind]
+        (entry["category"], entry["threshold"]): entry[kind]
         for entry in entries
-        if entry["category"] == "all" and entry[kind] is not None
+        if entry[kind] is not None
     }
-    return [_cell(counts[threshold]) if threshold in counts else None for threshold in thresholds]
+    return [_cell(counts[column]) if column in counts else None for column in columns]
 
 
 def _cell(count: Document) -> Cell:
