@@ -74,6 +74,13 @@ def section(markdown, anchor):
     return re.split(r"^#", rest, maxsplit=1, flags=re.MULTILINE)[0]
 
 
+def section_of(markdown, title):
+    """What stands below a second-level heading, up to the next one."""
+    _, found, rest = markdown.partition(f"\n## {title}\n")
+    assert found, f"no heading {title!r}"
+    return rest.partition("\n## ")[0]
+
+
 def column(markdown, head):
     """The first column of the table whose head row begins with ``head``, without backticks."""
     _, found, rest = markdown.partition(f"\n| {head} |")
