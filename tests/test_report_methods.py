@@ -10,7 +10,7 @@ from tables import Fixed
 
 import pytest_cpas.report
 from pytest_cpas.evaluation import Row
-from pytest_cpas.golden import shipped_golden
+from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.page import page
 from pytest_cpas.report.scatter import charts, colour, dataset_pairs, methods
@@ -56,9 +56,10 @@ def told(method: str, dataset: str, correct: int, time: float | None = None) -> 
         Row(ref.id, ref.category, 0.005, 1.0 if i < correct else 90.0, 0.9, 0.95)
         for i, ref in enumerate(refs)
     ]
+    run = Fixed(method, dataset, refs, identity={})
     return run_document(
-        Fixed(method, dataset, refs, identity={}),
-        judged,
+        run,
+        RunTable.of(run, judged),
         errors={},
         verdicts=[],
         require_golden=False,
