@@ -115,9 +115,14 @@ class ICaps:
     def track(self, frames: Sequence[Observation], seed: int) -> list[Prediction]:
         """One prediction per frame of a sequence that shows one object.
 
-        The first frame gives the shape; in the others only the pose is followed. Where there is
-        no answer, the next frame is a first one again.
+        The first frame gives the shape; in the others only the pose is followed. A frame without
+        an answer is a failed prediction that says why, and the next one is a first one again.
+
+        Raises ValueError for frames of several categories, and as :meth:`predict`.
         """
+        categories = sorted({frame.category for frame in frames})
+        if len(categories) > 1:
+            raise ValueError(f"frames of {', '.join(categories)}: a sequence shows one object")
         generator = np.random.default_rng(seed)
         predictions: list[Prediction] = []
         track: Track | None = None

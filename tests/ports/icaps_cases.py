@@ -3,10 +3,15 @@
 The object is a convex body with eight faces, one per octant, of which no two are alike. Its signed
 distance is linear in every octant, so that the DeepSDF decoder can be given weights that are it.
 
-``python tests/ports/icaps_cases.py record`` records, ``... weights DIR`` writes a folder for
-``--cpas-weights``; see cases.py.
+``python tests/ports/icaps_cases.py record`` records; see cases.py. ``... weights DIR`` writes a
+folder for ``--cpas-weights`` with which iCaps answers with objects of a likely size where the depth
+is, so that the contract applies; golden/ beside this file has the golden table of
+
+    pytest --cpas-method icaps --cpas-dataset synthetic-handheld --cpas-weights=DIR \\
+        --cpas-golden tests/ports/golden --cpas-require-golden
 """
 
+import copy
 import functools
 import sys
 from pathlib import Path
@@ -17,8 +22,13 @@ import recipe
 import torch
 from scipy.spatial.transform import Rotation
 
-from method_adapters._networks.icaps import AutoEncoder, DeepSdf, LatentNet
-from method_adapters._networks.icaps_matching import Codebook, Matcher, normalised_crops
+from method_adapters._networks.icaps import LATENT_SIZE, AutoEncoder, DeepSdf, LatentNet
+from method_adapters._networks.icaps_matching import (
+    ROTATIONS,
+    Codebook,
+    Matcher,
+    normalised_crops,
+)
 from method_adapters._networks.icaps_refinement import Refiner
 from method_adapters._particle_filter import View
 from method_adapters.icaps import _ASSETS, RATIOS, ICaps
@@ -71,6 +81,26 @@ def decoder() -> DeepSdf:
         made.lin8.weight[0, :6] = torch.from_numpy(SLOPES)
         made.lin8.bias.fill_(-DEPTH)
     return made.eval()
+
+
+@functools.cache
+def decoder_with_code() -> DeepSdf:
+    """The object, a little larger or smaller by its latent code."""
+    made = copy.deepcopy(decoder())
+    share = torch.from_numpy(np.random.RandomState(2).uniform(-0.03, 0.03, LATENT_SIZE)).float()
+    with torch.no_grad():
+        for i in range(8):  # a seventh feature, carried to the last layer
+            layer = made.get_submodule(f"lin{i}")
+            layer.weight_v[6] = 0
+            if i == 0:
+                layer.weight_v[6, :LATENT_SIZE] = share
+                layer.bias[6] = 0.1
+            else:
+                layer.weight_v[6, 6] = 1
+            layer.weight_g[6] = layer.weight_v[6].norm()
+        made.lin8.weight[0, 6] = 1
+        made.lin8.bias -= 0.1
+    return made
 
 
 def corners():
@@ -149,18 +179,19 @@ def method() -> ICaps:
     return made
 
 
-def codebook() -> tuple[torch.Tensor, torch.Tensor]:
-    """A published file's content, of 500 rotations."""
+def codebook(count: int = 500) -> tuple[torch.Tensor, torch.Tensor]:
+    """A published file's content, of ``count`` rotations."""
     random = np.random.RandomState(1)
-    codes = random.standard_normal((500, 128))
-    poses = np.concatenate([np.zeros((500, 3)), random.standard_normal((500, 4))], axis=1)
+    codes = random.standard_normal((count, 128)).round(4)
+    poses = np.concatenate([np.zeros((count, 3)), random.standard_normal((count, 4))], axis=1)
     poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    return torch.from_numpy(codes).float(), torch.from_numpy(poses).float()
+    # the same on every machine: a golden table knows its weights
+    return torch.from_numpy(codes).float(), torch.from_numpy(poses.round(6)).float()
 
 
-def write_assets(folder: Path) -> Path:
-    """A folder for --cpas-weights: the recipe's weights, but a decoder that has a surface. All
-    categories share their files."""
+def write_assets(folder: Path, rotations: int = 500) -> Path:
+    """A folder for --cpas-weights: the recipe's weights, but a decoder that has a surface, and a
+    codebook of ``rotations``. All categories share their files."""
     files = {}
     for name in ("icaps_aae", "icaps_latentnet"):
         files[name] = {"aae_state_dict": network(name).state_dict(), "epoch": 1}
@@ -168,10 +199,10 @@ def write_assets(folder: Path) -> Path:
         key.replace("encoder.", "encoder.module.", 1): value
         for key, value in files["icaps_aae"]["aae_state_dict"].items()
     }
-    sdf = {f"module.{key}": value for key, value in decoder().state_dict().items()}
+    sdf = {f"module.{key}": value for key, value in decoder_with_code().state_dict().items()}
     contents = (
         {"aae_state_dict": inside},
-        codebook(),
+        codebook(rotations),
         files["icaps_latentnet"],
         {"model_state_dict": sdf, "epoch": 2000},
     )
@@ -223,6 +254,6 @@ if __name__ == "__main__":
         }
         np.savez_compressed(cases.GOLDEN / "icaps.npz", **arrays)
     elif sys.argv[1:2] == ["weights"] and len(sys.argv) == 3:
-        write_assets(Path(sys.argv[2]))
+        write_assets(Path(sys.argv[2]), ROTATIONS)
     else:
         sys.exit(__doc__)

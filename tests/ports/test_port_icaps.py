@@ -1,4 +1,5 @@
 import copy
+import dataclasses
 import functools
 
 import cases
@@ -312,16 +313,70 @@ def check_mesh():
     np.testing.assert_allclose(low, corners.min(axis=0), atol=0.05 * 0.06)
 
 
-def test_mesh_of_the_object(monkeypatch):
-    """Evaluated near the surface alone, the grid has the same surface."""
+def test_mesh_of_the_object():
     check_mesh()
-    monkeypatch.setattr(icaps_refinement, "COARSE", 24)
-    monkeypatch.setattr(icaps_refinement, "FINE", 40)
-    shape = networks.Shape(icaps_cases.decoder(), torch.zeros(1, 256))
-    quick = level_set(icaps_refinement.distance_grid(shape), 0, half_width=1, closed=False)
-    monkeypatch.setattr(icaps_refinement, "NEAR", 9.0)
-    full = level_set(icaps_refinement.distance_grid(shape), 0, half_width=1, closed=False)
-    np.testing.assert_allclose(quick.vertices, full.vertices, atol=1e-6)
+
+
+class Exact:
+    """Instead of a decoder: a distance function in closed form, (N, 3) to (N,)."""
+
+    device = torch.device("cpu")
+
+    def __init__(self, function):
+        self.function, self.evaluated = function, 0
+
+    def distances(self, points):
+        self.evaluated += len(points)
+        return torch.from_numpy(self.function(points.numpy().astype(float))).float()
+
+
+def box(points, half):
+    beyond = np.abs(points) - half
+    return np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
+
+
+def ring(points, radius, thickness):
+    around = np.hypot(np.hypot(points[:, 0], points[:, 1]) - radius, points[:, 2])
+    return around - thickness
+
+
+SOLIDS = {
+    "ball": lambda x: np.linalg.norm(x, axis=1) - 0.7,
+    "small ball between coarse nodes": lambda x: np.linalg.norm(x - 0.516, axis=1) - 0.035,
+    "sheet": lambda x: box(x, [0.6, 0.5, 0.02]),
+    "turned sheet": lambda x: box(x @ Rotation.random(rng=4).as_matrix(), [0.6, 0.5, 0.015]),
+    "ring": lambda x: ring(x @ Rotation.random(rng=5).as_matrix(), 0.6, 0.04),
+    "bowl": lambda x: np.maximum(np.abs(np.linalg.norm(x, axis=1) - 0.7) - 0.03, x[:, 1] - 0.1),
+    "up to the border": lambda x: box(x, [1.0, 0.4, 0.7]),
+}
+
+
+def check_grid_near_the_surface(name):
+    """The published grid, evaluated near the surface alone, holds the mesh of the whole one; also
+    of distances that end at 0.1, as decoders learn them."""
+    whole = icaps_refinement._nodes(icaps_refinement.FINE, torch.device("cpu"))
+    for reach in (9, icaps_refinement.CLAMP):
+        shape = Exact(lambda x, reach=reach: SOLIDS[name](x).clip(-reach, reach))
+        full = shape.distances(whole).view(64, 64, 64).numpy()
+        shape.evaluated = 0
+        quick = icaps_refinement.distance_grid(shape)
+        assert shape.evaluated < 0.7 * len(whole)
+        np.testing.assert_array_equal(quick > 0, full > 0)
+        expected, found = (level_set(x, 0, half_width=1, closed=False) for x in (full, quick))
+        np.testing.assert_array_equal(found.triangles, expected.triangles)
+        np.testing.assert_array_equal(found.vertices, expected.vertices)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_grid_evaluated_near_the_surface(name):
+    check_grid_near_the_surface(name)
+
+
+@pytest.mark.parametrize("name", ["ball", "turned sheet"])
+def test_grid_evaluated_too_near_the_surface_is_found(monkeypatch, name):
+    monkeypatch.setattr(icaps_refinement, "NEAR", 0.03)
+    with pytest.raises(AssertionError):
+        check_grid_near_the_surface(name)
 
 
 # ---- the method
@@ -363,17 +418,99 @@ def test_single_view(answer, truth):
     check_single_view([answer], truth)
 
 
-def test_tracking(truth):
-    """Four frames along an arc; every pose is found, the shape stays."""
+def on_the_arc(truth, i):
+    """Pose of the object in frame ``i``: it turns by 4 degrees and moves by 1 cm per frame."""
+    turned = Rotation.from_rotvec([0, 0.06 * i, 0.03 * i]).as_matrix() @ truth
+    return turned, POSITION + i * np.array([0.006, 0.003, -0.008])
+
+
+@pytest.fixture(scope="module")
+def frames(truth):
+    return [icaps_cases.render(*on_the_arc(truth, i), UNIT) for i in range(4)]
+
+
+def check_path(predictions, truth):
+    for i, prediction in enumerate(predictions):
+        (found,), (rotation, translation) = prediction.hypotheses, on_the_arc(truth, i)
+        assert degrees(found.rotation, rotation) < 1
+        np.testing.assert_allclose(found.translation, translation, atol=0.008)
+
+
+def test_tracking(truth, frames):
+    """Along an arc every pose is found; the shape stays, and is estimated once."""
     method = icaps_cases.method()
-    poses = [(Rotation.from_rotvec([0, 0.06 * i, 0.03 * i]).as_matrix() @ truth,
-              POSITION + i * np.array([0.006, 0.003, -0.008])) for i in range(4)]  # fmt: skip
-    frames = [icaps_cases.render(*pose, UNIT) for pose in poses]
-    found = [p.hypotheses[0] for p in method.track(frames, 0)]
-    for hypothesis, (rotation, translation) in zip(found, poses, strict=True):
-        assert degrees(hypothesis.rotation, rotation) < 1
-        np.testing.assert_allclose(hypothesis.translation, translation, atol=0.008)
-        assert hypothesis.mesh is found[0].mesh
+    _, refiner = method._networks["mug"]
+    shapes, real = [], refiner.shape_of
+    refiner.shape_of = lambda points: shapes.append(points) or real(points)
+    predictions = method.track(frames, 0)
+    check_path(predictions, truth)
+    assert len(shapes) == icaps_refinement.ROUNDS
+    assert len({id(p.hypotheses[0].mesh) for p in predictions}) == 1
+
+
+def same(a, b):
+    parts = ("rotation", "translation", "extents")
+    return all(np.array_equal(getattr(a, part), getattr(b, part)) for part in parts)
+
+
+def test_first_frame_is_a_single_view(frames, quick):
+    """And a sequence knows nothing of the one before."""
+    method = icaps_cases.method()
+    (alone,), (first, second) = method.predict(frames[:1], 0), method.track(frames[:2], 0)
+    (again,) = method.track(frames[:1], 0)
+    assert same(alone.hypotheses[0], first.hypotheses[0])
+    assert same(alone.hypotheses[0], again.hypotheses[0])
+    (unknown,) = method.predict(frames[1:2], 0)
+    assert not same(second.hypotheses[0], unknown.hypotheses[0])
+
+
+def test_what_is_known_is_carried_over(truth, frames, quick, monkeypatch):
+    """Particles, size and rotation of the last frame are where the next one begins."""
+    method = icaps_cases.method()
+    beliefs, real = [], icaps.next_belief
+
+    def seen_by(view, last, *given):
+        beliefs.append((last, real(view, last, *given)))
+        return beliefs[-1][1]
+
+    monkeypatch.setattr(icaps, "next_belief", seen_by)
+    found = [prediction.hypotheses[0] for prediction in method.track(frames[:3], 0)]
+    assert len(beliefs) == 2
+    for i, (last, belief) in enumerate(beliefs):
+        np.testing.assert_allclose(last.translation, found[i].translation)
+        np.testing.assert_allclose(last.rotation @ NOCS_FROM_SHAPENET, found[i].rotation)
+        assert belief.radius == pytest.approx(last.radius)
+        assert len(belief.particles) == _particle_filter.NEXT_PARTICLES
+    # with the last rotation known, one opposite to it is not believed, whatever the crops say
+    last = beliefs[0][0]
+    assert degrees(beliefs[0][1].rotation, last.rotation) < 20
+
+
+def forgotten(patch):
+    real = icaps.next_belief
+
+    def fault(view, last, *given):
+        return real(view, dataclasses.replace(last, seen=last.seen - 0.1), *given)
+
+    patch(icaps, "next_belief", fault)
+
+
+def shape_not_followed(patch):
+    patch(Refiner, "follow", lambda self, points, placed, shape: placed)
+
+
+@pytest.mark.parametrize("plant", [forgotten, shape_not_followed])
+def test_planted_fault_in_tracking_is_found(monkeypatch, plant, truth, frames):
+    method = icaps_cases.method()
+    plant(monkeypatch.setattr)
+    with pytest.raises(AssertionError):
+        check_path(method.track(frames[:2], 0), truth)
+
+
+def test_frames_of_two_categories_are_no_sequence(seen):
+    can = dataclasses.replace(seen, category="can")
+    with pytest.raises(ValueError, match="frames of can, mug: a sequence shows one object"):
+        icaps_cases.method().track([seen, can], 0)
 
 
 @pytest.fixture
@@ -442,7 +579,7 @@ def test_loaded_from_files(tmp_path, quick):
     for ours, expected in (
         (matcher._encoder, icaps_cases.network("icaps_aae").encoder),
         (refiner._latent_net, icaps_cases.network("icaps_latentnet")),
-        (refiner._decoder, icaps_cases.decoder()),
+        (refiner._decoder, icaps_cases.decoder_with_code()),
     ):
         for key, value in expected.state_dict().items():
             assert torch.equal(ours.state_dict()[key], value), key
