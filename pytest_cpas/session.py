@@ -34,6 +34,7 @@ from pytest_cpas.report.files import write_report
 from pytest_cpas.report.robustness import print_curves
 from pytest_cpas.report.stored import StoredReportError, read_runs
 from pytest_cpas.report.terminal import print_run, shows_samples
+from pytest_cpas.report.up_axes import up_axes
 from pytest_cpas.results import MergedRun, ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.robustness import perturbation_of, perturbed
 from pytest_cpas.snapshot import golden_folder
@@ -189,6 +190,7 @@ class CpasSession(SuiteSession):
             findings=findings,
             golden=golden,
             speed=self.speed.get(run),
+            up_axes=up_axes(run, self._ordered(run)) if self.config.option.cpas_report else None,
             # a large run has too many samples to list them for nobody
             samples=bool(self.config.option.cpas_report)
             or shows_samples(self.config, len(table.samples)),

@@ -29,6 +29,7 @@ def speed(seconds: float) -> dict:
         "seconds": interval(seconds),
         "mean_seconds": seconds,
         "rounds": 24,
+        "predictions_per_round": 1,
         "samples": 12,
         "stages": [],
         "memory": {"host_bytes": 2**30, "host_source": "predictions", "device_bytes": None},

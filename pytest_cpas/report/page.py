@@ -27,6 +27,7 @@ from pytest_cpas.report.tables import (
     percent,
     precision_table,
 )
+from pytest_cpas.report.up_axes import disc
 from pytest_cpas.report.words import (
     change_words,
     contract_words,
@@ -76,6 +77,7 @@ def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, byt
                 element("div", list(charts(curve_lines(published, members))), class_="charts"),
             )
         ],
+        list(_up_axes(document)),
         list(_overview(document)),
         list(_run_times(document)),
         element("h2", "Runs without failures") if details[failed:] else None,
@@ -195,6 +197,22 @@ def _category_tables(
             element("summary", f"Per category at {threshold}"),
             _method_table(["correct", *categories], lines),
         )
+
+
+def _up_axes(document: Document) -> Iterator[Element]:
+    """Per data set where up axes point: the truth once, and the estimates of every run."""
+    for title, runs, _ in groups(document):
+        known = [run for run in runs if run["up_axes"]]
+        true = next((run["up_axes"]["truth"] for run in known if run["up_axes"]["truth"]), None)
+        discs = [disc(true, "truth", estimate=False)] if true else []
+        discs += [
+            disc(run["up_axes"]["estimate"], run["method"], estimate=True)
+            for run in known
+            if run["up_axes"]["estimate"]
+        ]
+        if discs:
+            yield element("h2", f"Up axes on {title}")
+            yield element("div", discs, class_="spheres")
 
 
 def _overview(document: Document) -> Iterator[Element]:
