@@ -1,6 +1,7 @@
-"""The commands of docs/recipes.md, run as they stand there, on a tiny data set."""
+"""What docs/recipes.md and the tutorials tell people to type, run as it stands there."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -134,3 +135,25 @@ def test_slurm(project):
     code, printed = run(merge, project)
     assert code == 0, printed
     assert (project / "report" / "report.md").is_file()
+
+
+def test_the_metric_authors_tutorial(pytester):
+    """Its code violates what it says, and less once it is mended as it says."""
+    tutorial = text("metric-author.md")
+    first, adapter, mended, alone = blocks(tutorial, "python")
+    (pytester.mkdir("lab") / "adapter.py").write_text(adapter)
+    shown = re.findall(r"^(\S+\.\w+) +(violated|passed)$", tutorial, re.MULTILINE)
+
+    def outcomes(content):
+        (pytester.path / "lab" / "metrics.py").write_text(content)
+        chosen = " or ".join(sorted({name for name, _ in shown}))
+        code, printed = run(f'pytest --cpas-metrics lab.adapter -q -k "{chosen}"', pytester.path)
+        assert code == 1
+        return dict(re.findall(r"^(\S+\.\w+) +(violated|passed)$", printed, re.MULTILINE))
+
+    before, after = shown[:6], shown[6:]
+    found = outcomes(first)
+    assert {name: found[name] for name, _ in before} == dict(before)
+    found = outcomes(mended)
+    assert {name for name, word in found.items() if word == "violated"} == {n for n, _ in after}
+    compile(alone, "tutorial", "exec")
