@@ -1,7 +1,7 @@
 """The metrics: functions, and definitions with their ids."""
 
 from pytest_cpas import metrics
-from pytest_cpas.metrics import DEFINITIONS, Definition
+from pytest_cpas.metrics import DEFINITIONS
 from reference import code as reader
 from reference.markdown import code, codes, table
 
@@ -13,18 +13,13 @@ def functions() -> str:
     return "\n\n".join(reader.documented(f"pytest_cpas.metrics.{k}", v) for k, v in ordered)
 
 
-def definition_id(entry: Definition) -> str:
-    """The id, with the names of parameters for their values."""
-    return entry.id(**{name: name.upper() for name in entry.parameters})
-
-
 def definitions() -> str:
     """The table of definitions."""
     return table(
         ["id", "unit", "better", "parameters", "source"],
         (
             (
-                code(definition_id(entry)),
+                code(f"{entry.name}:{entry.variant}:{entry.version}"),
                 entry.unit or "-",
                 entry.better,
                 codes(entry.parameters) or "-",
