@@ -77,7 +77,8 @@ def _option(action: argparse.Action) -> str:
 
 
 def _plain(text: str) -> str:
-    return text[0].upper() + text[1:]
+    # argparse writes a percent sign as two
+    return (text[0].upper() + text[1:]).replace("%%", "%")
 
 
 def ini() -> str:
