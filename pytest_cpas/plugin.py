@@ -12,9 +12,48 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from syrupy.assertion import SnapshotAssertion
 
     from pytest_cpas.snapshot import GoldenAssertion
+
+#: What runs methods, judges samples, or takes only some of them.
+_METHOD = ("--cpas-method",)
+_RUN = (*_METHOD, "--cpas-predictions", "--cpas-merge")
+_SELECTING = (*_METHOD, "--cpas-predictions", "--cpas-check-dataset")
+
+#: What does nothing unless one of others is given too. Settings that a project may keep for its own
+#: tests as well (data, weights, golden tables, device, seed) are not among them.
+_NEEDS: Mapping[str, tuple[str, ...]] = {
+    "--cpas-report": _RUN,
+    "--cpas-results": _RUN,
+    "--cpas-require-golden": _RUN,
+    "--cpas-granularity": (*_RUN, "--cpas-check-dataset"),
+    "--cpas-category": _SELECTING,
+    "--cpas-limit": _SELECTING,
+    "--cpas-shard": _SELECTING,
+    "--cpas-profile": _METHOD,
+    "--cpas-jitter": _METHOD,
+    "--cpas-benchmark-against": ("--cpas-benchmark",),
+    "--cpas-benchmark-fail": ("--cpas-benchmark",),
+    "--cpas-against": ("--cpas-report",),
+    "--cpas-allow-gaps": ("--cpas-merge",),
+    "--cpas-examples": ("--cpas-metrics",),
+    "--cpas-metrics-report": ("--cpas-metrics",),
+    "--cpas-known-faults": ("--cpas-check-dataset",),
+    "--cpas-pictures": ("--cpas-check-dataset",),
+}
+
+#: What to type for the first of them.
+_EXAMPLES: Mapping[str, str] = {
+    "--cpas-method": "--cpas-method icp --cpas-dataset synthetic-tabletop",
+    "--cpas-benchmark": "--cpas-benchmark",
+    "--cpas-report": "--cpas-report DIR",
+    "--cpas-merge": "--cpas-merge FILE",
+    "--cpas-metrics": "--cpas-metrics cpas",
+    "--cpas-check-dataset": "--cpas-check-dataset synthetic-tabletop",
+}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -245,6 +284,7 @@ def pytest_configure(config: pytest.Config) -> None:
     options = config.option
     if options.help or options.version:
         return
+    _check_needs(config)
     if (
         options.cpas_method
         or options.cpas_dataset
@@ -266,7 +306,20 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_cpas.timing.session import SpeedSession
 
         config.pluginmanager.register(SpeedSession(config), "cpas-speed-session")
-    elif options.cpas_benchmark_against or options.cpas_benchmark_fail:
-        raise pytest.UsageError(
-            "--cpas-benchmark-against and --cpas-benchmark-fail need --cpas-benchmark"
-        )
+
+
+def _check_needs(config: pytest.Config) -> None:
+    """Refuse what was typed in vain; a configuration file may hold it for other runs."""
+    typed = {str(argument).partition("=")[0] for argument in config.invocation_params.args}
+    vain = [
+        f"{option} does nothing without {' or '.join(needed)}; add for example"
+        f" {_EXAMPLES[needed[0]]}"
+        for option, needed in _NEEDS.items()
+        if option in typed and not any(config.getoption(_destination(other)) for other in needed)
+    ]
+    if vain:
+        raise pytest.UsageError("\n".join(vain))
+
+
+def _destination(option: str) -> str:
+    return option.removeprefix("--").replace("-", "_")

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from harness import KEPT, NOT_DEMANDED, RUN
 
+from pytest_cpas.plugin import _EXAMPLES, _NEEDS
+
 GRID = [(), ("-n2",), ("-n2", "--dist=worksteal"), ("--cpas-granularity=scene",)]
 
 
@@ -280,6 +282,62 @@ def test_usage_errors(cpas, pytester, monkeypatch, args, words):
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     assert words in result.stderr.str()
     assert "Traceback" not in result.stderr.str()
+
+
+#: Options that start something, or that a project may keep for tests of its own.
+FREE = {
+    "--cpas-method",
+    "--cpas-dataset",
+    "--cpas-predictions",
+    "--cpas-merge",
+    "--cpas-metrics",
+    "--cpas-check-dataset",
+    "--cpas-list",
+    "--cpas-benchmark",
+    "--cpas-data",
+    "--cpas-weights",
+    "--cpas-golden",
+    "--cpas-device",
+    "--cpas-seed",
+}
+
+
+@pytest.fixture
+def alone(request, pytester):
+    """An option, with a value if it takes one, beside a test that has nothing to do with it."""
+    pytester.makepyfile(test_x="def test_x(): pass")
+    values = {"--cpas-profile": "=robustness", "--cpas-granularity": "=scene"}
+    plain = ("--cpas-require-golden", "--cpas-allow-gaps")
+    option = request.param
+    return option, option + values.get(option, "" if option in plain else "=3")
+
+
+@pytest.mark.parametrize("alone", _NEEDS, indirect=True)
+def test_option_that_does_nothing_is_a_usage_error(pytester, alone):
+    option, typed = alone
+    result = pytester.runpytest_inprocess(*RUN, typed, "test_x.py")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([f"ERROR: {option} does nothing without {_NEEDS[option][0]}*"])
+    assert _EXAMPLES[_NEEDS[option][0]] in result.stderr.str()
+
+
+@pytest.mark.parametrize("alone", _NEEDS, indirect=True)
+def test_option_in_a_configuration_file_may_do_nothing(pytester, alone):
+    pytester.makeini(f"[pytest]\naddopts = {alone[1]}")
+    pytester.runpytest_inprocess(*RUN, "test_x.py").assert_outcomes(passed=1)
+
+
+def test_every_option_is_decided_upon(pytestconfig):
+    (group,) = (g for g in pytestconfig._parser._groups if g.name == "cpas")
+    options = {name for option in group.options for name in option.names()}
+    assert FREE | _NEEDS.keys() == options
+    assert not FREE & _NEEDS.keys()
+
+
+def test_all_that_was_typed_in_vain_is_named(pytester):
+    result = pytester.runpytest_inprocess(*RUN, "--cpas-limit", "3", "--cpas-report=out")
+    assert "--cpas-limit does nothing" in result.stderr.str()
+    assert "--cpas-report does nothing" in result.stderr.str()
 
 
 def test_missing_weights_are_a_usage_error(pytester):
