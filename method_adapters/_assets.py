@@ -26,10 +26,17 @@ class AssetError(ValueError):
     """A file of weights or priors is not what it should be."""
 
 
+def require(module: str, package: str, extra: str) -> None:
+    """Raises ModuleNotFoundError with what to install; the module itself is not imported."""
+    if importlib.util.find_spec(module) is None:
+        raise ModuleNotFoundError(
+            f"this method needs {package}: pip install 'pytest-cpas[{extra}]'"
+        )
+
+
 def require_torch() -> None:
-    """Raises ModuleNotFoundError with what to install; torch itself is not imported."""
-    if importlib.util.find_spec("torch") is None:
-        raise ModuleNotFoundError("this method needs torch: pip install 'pytest-cpas[torch]'")
+    """As :func:`require`."""
+    require("torch", "torch", "torch")
 
 
 def load_priors(folder: Path | None) -> NDArray[np.float32]:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
-
 import numpy as np
 from numpy.typing import NDArray
 
+from method_adapters._assets import require
 from method_adapters._crop import NoAnswerError
 from pytest_cpas.types import Mesh
 
 
 def require_scikit_image() -> None:
-    """Raises ModuleNotFoundError with what to install; scikit-image itself is not imported."""
-    if importlib.util.find_spec("skimage") is None:
-        raise ModuleNotFoundError(
-            "this method makes meshes with scikit-image: pip install 'pytest-cpas[sdf]'"
-        )
+    """As :func:`method_adapters._assets.require`."""
+    require("skimage", "scikit-image", "sdf")
 
 
 def level_set(

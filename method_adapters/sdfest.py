@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from method_adapters._assets import require_torch
+from method_adapters._assets import require, require_torch
 from method_adapters._crop import NoAnswerError, require_depth_pixels
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._sdfest_configuration import Configuration, read_configuration, released
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 require_torch()
 require_scikit_image()
+require("yaml", "PyYAML", "sdf")  # older networks have configurations
 
 CATEGORIES = ("bottle", "bowl", "mug")
 #: Depth beyond this is not used, metres.
@@ -95,6 +96,19 @@ class Sdfest:
     gradient: Gradient = "correct"
     iterations = ITERATIONS
 
+    @classmethod
+    def assets_in(cls, folder: Path) -> tuple[Asset, ...]:
+        """What :meth:`load` reads from a weights folder.
+
+        Raises :class:`method_adapters._assets.AssetError` for a configuration that is none.
+        """
+        read: list[Asset] = []
+        for category in cls.info.categories:
+            layers, configured = configuration(folder, category)
+            names = layers.weights if configured is None else (configured.name, *layers.weights)
+            read += [asset(name, older=layers.z_up) for name in names]
+        return tuple(read)
+
     def load(self, assets: Path | None, device: str) -> None:
         """Read the weights of all categories below the folder ``assets``.
 
@@ -105,10 +119,9 @@ class Sdfest:
         from method_adapters._networks.sdfest import InitNet, SdfVae
 
         self._device = device_named(device)
-        folder = self.info.assets[0].locate(assets).parent
         self._models = {}
         for category in self.info.categories:
-            layers = configuration(folder, category)
+            layers, _ = configuration(assets, category)
             model = Model(
                 InitNet(layers),
                 SdfVae(layers),
@@ -172,16 +185,16 @@ class Sdfest:
         return View(*(as_tensor(part, device=self._device) for part in single))
 
 
-def configuration(folder: Path, category: str) -> Configuration:
-    """What the files in ``folder`` are for a category.
+def configuration(assets: Path | None, category: str) -> tuple[Configuration, Path | None]:
+    """What the files in the weights folder are for a category, and the file that says it.
 
     With ``robust_CATEGORY.yaml``, or else ``CATEGORY.yaml``, what that says; the robust networks
     were trained with inexact masks, like the release. Without, the release v0.1.0.
     """
-    for path in (folder / f"robust_{category}.yaml", folder / f"{category}.yaml"):
-        if path.is_file():
-            return read_configuration(path)
-    return released(category)
+    for name in (f"robust_{category}.yaml", f"{category}.yaml"):
+        if assets is not None and (path := assets / asset(name).path).is_file():
+            return read_configuration(path), path
+    return released(category), None
 
 
 def reconstruct(vae: SdfVae, found: Estimate) -> Mesh:

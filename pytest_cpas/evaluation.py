@@ -43,6 +43,7 @@ from pytest_cpas.types import (
     Sample,
     SampleRef,
     Symmetry,
+    assets_of,
 )
 
 #: The distance of the paper's F-score, metres.
@@ -265,7 +266,7 @@ class MethodRun(Run):
                 "data": dataset.digest,
                 "seed": str(seed),
                 "device": device,
-                **_weights_identity(method.info, weights),
+                **_weights_identity(method, weights),
             },
         )
 
@@ -342,12 +343,13 @@ class MethodRun(Run):
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
 
 
-def _weights_identity(info: MethodInfo, folder: Path | None) -> dict[str, str]:
+def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
     """A digest of the files that a method loads; nothing for a method without any."""
-    if not info.assets or folder is None:
+    assets = assets_of(method, folder)
+    if not assets or folder is None:
         return {}
     digest = hashlib.sha256()
-    for asset in sorted(info.assets, key=lambda asset: asset.path):
+    for asset in sorted(assets, key=lambda asset: asset.path):
         with (folder / asset.path).open("rb") as file:
             content = hashlib.file_digest(file, "sha256").hexdigest()
         digest.update(f"{asset.path} {content}\n".encode())

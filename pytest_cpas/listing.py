@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pytest_cpas.registry import KINDS, RegistryError, registered, resolve
-from pytest_cpas.types import MethodInfo
+from pytest_cpas.types import MethodInfo, assets_of
 
 
 def listing(weights: Path | None) -> Iterator[str]:
@@ -23,17 +23,22 @@ def listing(weights: Path | None) -> Iterator[str]:
 
 def _declared(name: str, weights: Path | None) -> Iterator[str]:
     try:
-        info = getattr(resolve("method", name), "info", None)
+        method = resolve("method", name)
     except RegistryError as error:
         yield f"cannot be used: {error}"
         return
+    info = getattr(method, "info", None)
     if not isinstance(info, MethodInfo):
         yield "cannot be used: it has no attribute info of type MethodInfo"
         return
     yield f"licence {info.licence}"
     parts = ["pose", *sorted(info.gives)]
     yield f"needs {', '.join(sorted(info.needs))}; gives {', '.join(parts)}"
-    paths = [asset.path for asset in info.assets]
+    try:
+        paths = [asset.path for asset in assets_of(method, weights)]
+    except (ValueError, OSError) as error:
+        yield f"cannot be used: {error}"
+        return
     if not paths:
         yield "weights: none needed"
     elif weights is None:

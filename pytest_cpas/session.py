@@ -38,7 +38,7 @@ from pytest_cpas.report.up_axes import up_axes
 from pytest_cpas.results import MergedRun, ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.robustness import perturbation_of, perturbed
 from pytest_cpas.snapshot import golden_folder
-from pytest_cpas.types import ContractError, Dataset, Method, MethodInfo
+from pytest_cpas.types import ContractError, Dataset, Method, MethodInfo, assets_of
 
 #: Where an item keeps what it found out: rows, and errors of samples without one.
 FOUND = pytest.StashKey["Found"]()
@@ -402,7 +402,7 @@ def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
             f"method {name!r}: {factory!r} has no attribute info of type MethodInfo; a method is a"
             " class with info, load(assets, device) and predict(batch, seed)"
         )
-    for asset in info.assets:
+    for asset in assets_of(factory, weights):
         try:
             asset.locate(weights)
         except FileNotFoundError as error:

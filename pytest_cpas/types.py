@@ -14,7 +14,7 @@ expected and what to look for in an adapter.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
@@ -573,7 +573,10 @@ class MethodInfo:
 
 @runtime_checkable
 class Method(Protocol):
-    """A categorical pose and shape method. Made without arguments, then loaded once."""
+    """A categorical pose and shape method. Made without arguments, then loaded once.
+
+    For ``assets_in``, which it may have as well, see :func:`assets_of`.
+    """
 
     info: MethodInfo
 
@@ -582,6 +585,18 @@ class Method(Protocol):
 
     def predict(self, batch: Sequence[Observation], seed: int) -> Sequence[Prediction]:
         """One prediction per observation, in order; all randomness comes from ``seed``."""
+
+
+def assets_of(method: Method | type[Method], folder: Path | None) -> Sequence[Asset]:
+    """The files that a method, or its class, loads from a weights folder.
+
+    Those that it declares, unless it has a class method ``assets_in(folder)``, which says so where
+    it depends on what is there.
+    """
+    assets_in: Callable[[Path], Sequence[Asset]] | None = getattr(method, "assets_in", None)
+    if assets_in is None or folder is None:
+        return method.info.assets
+    return assets_in(folder)
 
 
 @runtime_checkable

@@ -1,12 +1,16 @@
+from pathlib import Path
+
 import pytest
 import sdfest_cases as own
 import torch
+from tiny import Tiny
 
 from method_adapters._assets import AssetError
 from method_adapters._networks.running import load_weights, read_checkpoint
 from method_adapters._networks.sdfest import InitNet, SdfVae
 from method_adapters._sdfest_configuration import read_configuration, released
 from method_adapters.sdfest import CATEGORIES, Sdfest, configuration
+from pytest_cpas.evaluation import MethodRun
 
 yaml = pytest.importorskip("yaml", reason="pip install 'pytest-cpas[sdf]'")
 
@@ -141,12 +145,45 @@ def test_other_files_are_refused_and_nothing_is_run(tmp_path, text):
 
 
 def test_which_files_are_taken(tmp_path):
-    assert configuration(tmp_path, "bowl") == released("bowl")
+    folder = tmp_path / "sdfest"
+    folder.mkdir()
+    assert configuration(tmp_path, "bowl") == (released("bowl"), None)
     for name in ("mug.yaml", "robust_mug.yaml"):
         given = content()
         given["init"]["model"] = f"{name}.pt"
-        (tmp_path / name).write_text(yaml.safe_dump(given))
-        assert configuration(tmp_path, "mug").weights[0] == f"{name}.pt"
+        (folder / name).write_text(yaml.safe_dump(given))
+        layers, file = configuration(tmp_path, "mug")
+        assert (layers.weights[0], file) == (f"{name}.pt", folder / name)
+
+
+def test_identity_covers_what_is_loaded(tmp_path):
+    """A change of any file that is read, and of no other, is another set of weights."""
+    folder = own.write_assets(tmp_path) / "sdfest"
+    released_files = Sdfest.assets_in(tmp_path)
+    assert released_files == Sdfest.info.assets
+    given = content()
+    (folder / "robust_mug.yaml").write_text(yaml.safe_dump(given))
+    (folder / "robust_mug_init.pt").write_bytes((folder / "mug_init.pt").read_bytes())
+    names = {Path(asset.path).name for asset in Sdfest.assets_in(tmp_path)}
+    assert names == {
+        *(f"{category}_{part}.pt" for category in ("bottle", "bowl") for part in ("init", "vae")),
+        *("robust_mug.yaml", "robust_mug_init.pt", "mug_vae.pt"),
+    }
+
+    def identity():
+        return MethodRun(Sdfest(), Tiny(None), weights=tmp_path).identity["weights"]
+
+    before = identity()
+    (folder / "mug_init.pt").write_bytes(b"not read")
+    assert identity() == before
+    for name in names:
+        content_before = (folder / name).read_bytes()
+        (folder / name).write_bytes(content_before + b"\n")
+        assert identity() != before, name
+        (folder / name).write_bytes(content_before)
+    (folder / "robust_mug_init.pt").unlink()
+    with pytest.raises(FileNotFoundError):
+        identity()
 
 
 def test_released_form(tmp_path):
