@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import MEAN_SHAPES, load_priors
+from method_adapters._assets import load_priors
 from method_adapters._crop import (
     NoAnswerError,
     back_project,
@@ -20,7 +20,7 @@ from method_adapters._crop import (
 )
 from method_adapters._network_method import Array, NetworkMethod
 from pytest_cpas.similarity import NoSimilarityError, robust_umeyama
-from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, MethodInfo, Observation
+from pytest_cpas.types import CATEGORIES, Hypothesis, Observation
 
 #: x of the middle of the mug's mean shape, NOCS units: its handle pulls it off the origin.
 MUG_OFFSET = 0.08943803608
@@ -35,19 +35,6 @@ class Inputs(NamedTuple):
     choose: NDArray[np.int64]
     category: NDArray[np.int64]
     prior: NDArray[np.float32]
-
-
-def method_info(name: str, weights: Asset, licence: str) -> MethodInfo:
-    """The declaration of a method that deforms the shared priors."""
-    return MethodInfo(
-        name=name,
-        categories=CATEGORIES,
-        needs=frozenset({"rgb", "depth"}),
-        gives=frozenset({"extents", "shape"}),
-        licence=licence,
-        object_frame="nocs",
-        assets=(weights, MEAN_SHAPES),
-    )
 
 
 class PriorMethod(NetworkMethod[Inputs]):

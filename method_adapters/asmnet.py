@@ -17,13 +17,13 @@ from scipy.spatial.transform import Rotation
 
 from method_adapters._assets import NOCS_TERMS, require_torch
 from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
+from method_adapters._declaration import port_info
 from method_adapters._shape_model import COMPONENTS, ShapeModel, read_shape_model
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas.types import (
     CATEGORIES,
     Asset,
     Hypothesis,
-    MethodInfo,
     Observation,
     Prediction,
 )
@@ -70,15 +70,7 @@ class AsmNet:
     """ASM-Net as a :class:`pytest_cpas.types.Method`; every category has a network and a shape
     model of its own."""
 
-    info = MethodInfo(
-        name="asmnet",
-        categories=CATEGORIES,
-        needs=frozenset({"depth"}),
-        gives=frozenset({"extents", "shape"}),
-        licence="MIT (this port; the weights state no licence)",
-        object_frame="nocs",
-        assets=_ASSETS,
-    )
+    info = port_info("asmnet", *_ASSETS, needs=frozenset({"depth"}))
 
     def load(self, assets: Path | None, device: str) -> None:
         """Read the networks and shape models of all categories below the folder ``assets``.

@@ -20,8 +20,9 @@ from method_adapters._crop import (
     subset_in_order,
     whole_forties,
 )
+from method_adapters._declaration import port_info
 from method_adapters._network_method import Array, NetworkMethod
-from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, MethodInfo, Observation
+from pytest_cpas.types import Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
     from torch import nn
@@ -48,20 +49,14 @@ class Inputs(NamedTuple):
 class Cass(NetworkMethod[Inputs]):
     """CASS as a :class:`pytest_cpas.types.Method`."""
 
-    info = MethodInfo(
-        name="cass",
-        categories=CATEGORIES,
-        needs=frozenset({"rgb", "depth"}),
-        gives=frozenset({"extents", "shape", "score"}),
-        licence="MIT (this port; the weights state no licence)",
-        object_frame="nocs",
-        assets=(
-            Asset(
-                "cass/cass_best.pth",
-                "https://drive.google.com/file/d/14K1a-Ft-YO9dUREEXxmWqF2ruUP4p7BZ",
-                f"no licence stated; {NOCS_TERMS}",
-            ),
+    info = port_info(
+        "cass",
+        Asset(
+            "cass/cass_best.pth",
+            "https://drive.google.com/file/d/14K1a-Ft-YO9dUREEXxmWqF2ruUP4p7BZ",
+            f"no licence stated; {NOCS_TERMS}",
         ),
+        also_gives=frozenset({"score"}),
     )
     # a refinement and classifiers that inference does not use, layers that nothing uses
     unused = (

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import NOCS_TERMS
+from method_adapters._assets import MEAN_SHAPES, NOCS_TERMS
 from method_adapters._crop import POINT_COUNT, NoAnswerError
+from method_adapters._declaration import port_info
 from method_adapters._depth_filling import fill_depth
 from method_adapters._network_method import Array
-from method_adapters._prior_method import Inputs, PriorMethod, method_info, prior_offset
+from method_adapters._prior_method import Inputs, PriorMethod, prior_offset
 from pytest_cpas.types import Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 class Dpdn(PriorMethod):
     """DPDN as a :class:`pytest_cpas.types.Method`."""
 
-    info = method_info(
+    info = port_info(
         "dpdn",
         Asset(
             "dpdn/log/supervised/epoch_30.pth",
@@ -29,7 +30,8 @@ class Dpdn(PriorMethod):
             " below dpdn/)",
             f"MIT; {NOCS_TERMS}",
         ),
-        "MIT",
+        MEAN_SHAPES,
+        licence="MIT",
     )
     # ImageNet's classifier
     unused = ("rgb_extractor.model.feats.fc.",)

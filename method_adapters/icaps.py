@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from method_adapters._assets import NOCS_TERMS, require_torch
 from method_adapters._crop import NoAnswerError
+from method_adapters._declaration import port_info
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._particle_filter import Belief, View, first_belief, next_belief
 from pytest_cpas.frames import NOCS_FROM_SHAPENET
@@ -24,7 +25,6 @@ from pytest_cpas.types import (
     Asset,
     Hypothesis,
     Mesh,
-    MethodInfo,
     Observation,
     Prediction,
 )
@@ -80,13 +80,11 @@ class Track(NamedTuple):
 class ICaps:
     """iCaps as a :class:`pytest_cpas.types.Method`; every category has networks of its own."""
 
-    info = MethodInfo(
-        name="icaps",
-        categories=CATEGORIES,
+    info = port_info(
+        "icaps",
+        *(asset for assets in _ASSETS.values() for asset in assets),
         needs=frozenset({"depth"}),
-        gives=frozenset({"extents", "shape"}),
-        licence="MIT (this port; the weights state no licence)",
-        assets=tuple(asset for assets in _ASSETS.values() for asset in assets),
+        object_frame="shapenet",
     )
 
     def load(self, assets: Path | None, device: str) -> None:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from method_adapters._assets import MEAN_SHAPES, NOCS_TERMS, load_priors
 from method_adapters._crop import Crop, NoAnswerError, back_project, crop_of, depth_pixels
+from method_adapters._declaration import port_info
 from method_adapters._network_method import Array, NetworkMethod
 from method_adapters._prior_method import prior_offset
-from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, MethodInfo, Observation
+from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
     from torch import nn
@@ -51,21 +52,15 @@ class Inputs(NamedTuple):
 class RbpPose(NetworkMethod[Inputs]):
     """RBP-Pose as a :class:`pytest_cpas.types.Method`."""
 
-    info = MethodInfo(
-        name="rbppose",
-        categories=CATEGORIES,
-        needs=frozenset({"depth"}),
-        gives=frozenset({"extents", "shape"}),
-        licence="MIT (this port; the weights state no licence)",
-        object_frame="nocs",
-        assets=(
-            Asset(
-                "rbppose/model_149.pth",
-                "https://drive.google.com/file/d/1XQDLrmvlB6qvv26OZo0R_TZf34w1kX7U",
-                f"no licence stated; {NOCS_TERMS}",
-            ),
-            MEAN_SHAPES,
+    info = port_info(
+        "rbppose",
+        Asset(
+            "rbppose/model_149.pth",
+            "https://drive.google.com/file/d/1XQDLrmvlB6qvv26OZo0R_TZf34w1kX7U",
+            f"no licence stated; {NOCS_TERMS}",
         ),
+        MEAN_SHAPES,
+        needs=frozenset({"depth"}),
     )
     # what inference does not use: colours, the assignment, the residual projections, an encoder
     unused = (

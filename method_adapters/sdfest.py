@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from method_adapters._assets import require, require_torch
 from method_adapters._crop import NoAnswerError, require_depth_pixels
+from method_adapters._declaration import port_info
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._sdfest_configuration import Configuration, read_configuration, released
 from method_adapters._so3_grid import rotation_grid
@@ -27,7 +28,6 @@ from pytest_cpas.types import (
     ContractError,
     Hypothesis,
     Mesh,
-    MethodInfo,
     Observation,
     Pose,
     Prediction,
@@ -85,13 +85,13 @@ class Sdfest:
     rounding.
     """
 
-    info = MethodInfo(
-        name="sdfest",
-        categories=CATEGORIES,
+    info = port_info(
+        "sdfest",
+        *(asset(name) for category in CATEGORIES for name in released(category).weights),
         needs=frozenset({"depth"}),
-        gives=frozenset({"extents", "shape"}),
         licence="MIT",
-        assets=tuple(asset(name) for category in CATEGORIES for name in released(category).weights),
+        object_frame="shapenet",
+        categories=CATEGORIES,
     )
     gradient: Gradient = "correct"
     iterations = ITERATIONS

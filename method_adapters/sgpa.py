@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from method_adapters._assets import NOCS_TERMS
-from method_adapters._prior_method import PriorMethod, method_info
+from method_adapters._assets import MEAN_SHAPES, NOCS_TERMS
+from method_adapters._declaration import port_info
+from method_adapters._prior_method import PriorMethod
 from pytest_cpas.types import Asset
 
 if TYPE_CHECKING:
@@ -15,14 +16,14 @@ if TYPE_CHECKING:
 class Sgpa(PriorMethod):
     """SGPA as a :class:`pytest_cpas.types.Method`."""
 
-    info = method_info(
+    info = port_info(
         "sgpa",
         Asset(
             "sgpa/real.pth",
             "https://drive.google.com/file/d/1drBp3naBrNdazah1zTdgydjchE-LysdI",
             f"no licence stated; {NOCS_TERMS}",
         ),
-        "MIT (this port; the weights state no licence)",
+        MEAN_SHAPES,
     )
     # a classifier of points that only training uses
     unused = ("instance_geometry.cls_layer.", "category_local.cls_layer.")

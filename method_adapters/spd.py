@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from method_adapters._assets import NOCS_TERMS
-from method_adapters._prior_method import PriorMethod, method_info
+from method_adapters._assets import MEAN_SHAPES, NOCS_TERMS
+from method_adapters._declaration import port_info
+from method_adapters._prior_method import PriorMethod
 from pytest_cpas.types import Asset
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 class Spd(PriorMethod):
     """SPD as a :class:`pytest_cpas.types.Method`."""
 
-    info = method_info(
+    info = port_info(
         "spd",
         Asset(
             "spd/deformnet_eval/real/model_50.pth",
@@ -23,7 +24,8 @@ class Spd(PriorMethod):
             " below spd/)",
             f"MIT; {NOCS_TERMS}",
         ),
-        "MIT",
+        MEAN_SHAPES,
+        licence="MIT",
     )
 
     @staticmethod
