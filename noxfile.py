@@ -65,53 +65,31 @@ def benchmarks(session: nox.Session) -> None:
         session.run("python", script, env=ENV)
 
 
+#: Those with seeded random weights that give likely answers.
+PORTS = ("spd", "crnet", "sgpa", "dpdn", "cass", "asmnet", "rbppose", "sdfest")
+
+
 @nox.session
 def ports(session: nox.Session) -> None:
-    """The ports with seeded random weights: golden table, contract, the networks of a peer."""
+    """The ports with seeded random weights: golden tables, contract, the networks of a peer."""
     install(session, "-e", ".[open3d,sdf,torch,xdist]")
     session.install("--no-deps", "cpas_toolbox==1.0.0", "absl-py", "opencv-python-headless<5")
     weights = session.create_tmp()
-    session.run("python", "tests/ports/cases.py", "weights", weights, env=ENV)
-    session.run(
-        "pytest",
-        "--cpas-method=sgpa",
-        "--cpas-dataset=synthetic-tabletop",
-        f"--cpas-weights={weights}",
-        "--cpas-golden=tests/ports/golden",
-        "--cpas-require-golden",
-        # random weights find nothing, so there is no contract to check
-        "-k",
-        "not test_contract",
-        "--numprocesses=2",
-        "--quiet",
-        env=ENV,
-    )
-    likely = str(Path(weights) / "plausible")
-    session.run("python", "tests/ports/plausible.py", likely, env=ENV)
-    session.run(
-        "pytest",
-        "--cpas-method=cass",
-        "--cpas-method=rbppose",
-        "--cpas-dataset=synthetic-handheld",
-        f"--cpas-weights={likely}",
-        "--cpas-golden=tests/ports/golden",
-        "--cpas-require-golden",
-        "--numprocesses=2",
-        "--quiet",
-        env=ENV,
-    )
-    for name in ("asmnet", "icaps"):
-        session.run("python", f"tests/ports/{name}_cases.py", "weights", weights, env=ENV)
-    session.run(
-        "pytest",
-        "--cpas-method=asmnet",
-        "--cpas-dataset=synthetic-handheld",
-        f"--cpas-weights={weights}",
-        "--numprocesses=2",
-        "--quiet",
-        env=ENV,
-    )
+    session.run("python", "tests/ports/plausible.py", weights, env=ENV)
+    for names, dataset in ((PORTS, "synthetic-handheld"), (("sgpa",), "synthetic-tabletop")):
+        session.run(
+            "pytest",
+            *(f"--cpas-method={name}" for name in names),
+            f"--cpas-dataset={dataset}",
+            f"--cpas-weights={weights}",
+            "--cpas-golden=tests/ports/golden",
+            "--cpas-require-golden",
+            "--numprocesses=2",
+            "--quiet",
+            env=ENV,
+        )
     # seconds per answer, of which the contract takes 25
+    session.run("python", "tests/ports/icaps_cases.py", "weights", weights, env=ENV)
     session.run(
         "pytest",
         "--cpas-method=icaps",
@@ -121,17 +99,6 @@ def ports(session: nox.Session) -> None:
         "-k",
         "not test_contract",
         "--quiet",
-    )
-    # the answers of random weights mean nothing, but they must not depend on what does not matter
-    meaning = "in_front or metric_units or projects or extents_of_shape or shape_in_box"
-    session.run(
-        "pytest",
-        *(f"--cpas-method={n}" for n in ("spd", "crnet", "sgpa", "dpdn")),
-        "--cpas-dataset=synthetic-handheld",
-        f"--cpas-weights={weights}",
-        f"-k=test_contract and not ({meaning})",
-        "--numprocesses=2",
-        env=ENV,
     )
     session.run("pytest", "tests/ports", env=ENV)
 

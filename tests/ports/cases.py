@@ -1,53 +1,33 @@
 """Inputs made from a seed, and the checks against recorded outputs that the tests share.
 
 ``python tests/ports/cases.py record [NAME ...]`` records: only ever from code that agrees with the
-original networks (the tests with the shared data). ``python tests/ports/cases.py weights DIR``
-writes a folder for ``--cpas-weights``; with it, golden/ beside this file is the golden table of
-
-    pytest --cpas-method sgpa --cpas-dataset synthetic-tabletop --cpas-weights=DIR \\
-        --cpas-golden tests/ports/golden --cpas-require-golden -k "not test_contract"
-
-Random weights find nothing, which the contract says first; so that table shows that every sample
-has a valid answer; what the answers are is guarded by recorded/.
+original networks (the tests with the shared data).
 """
 
 import functools
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 import recipe
 import torch
 
 from method_adapters._assets import MEAN_SHAPES
 from method_adapters._network_method import NetworkMethod
-from method_adapters._networks.cass import CassNet
-from method_adapters._networks.crnet import CrNet
-from method_adapters._networks.dpdn import DpdnNet
-from method_adapters._networks.rbppose import RbpPoseNet
 from method_adapters._networks.running import Runner
-from method_adapters._networks.sgpa import SgpaNet
-from method_adapters._networks.spd import SpdNet
 from method_adapters.cass import Cass
-from method_adapters.crnet import CrNet as CrNetMethod
+from method_adapters.crnet import CrNet
 from method_adapters.dpdn import Dpdn
 from method_adapters.rbppose import RbpPose
 from method_adapters.sgpa import Sgpa
 from method_adapters.spd import Spd
 from pytest_cpas.types import Camera, Observation
 
-NETWORKS = {
-    "spd": SpdNet,
-    "crnet": CrNet,
-    "sgpa": SgpaNet,
-    "dpdn": DpdnNet,
-    "cass": CassNet,
-    "rbppose": RbpPoseNet,
-}
 METHODS: dict[str, type[NetworkMethod]] = {
     "spd": Spd,
-    "crnet": CrNetMethod,
+    "crnet": CrNet,
     "sgpa": Sgpa,
     "dpdn": Dpdn,
     "cass": Cass,
@@ -68,7 +48,7 @@ GOLDEN = Path(__file__).with_name("recorded")
 @functools.cache
 def network(name: str) -> torch.nn.Module:
     """In evaluation mode, with the recipe's weights."""
-    made = NETWORKS[name]()
+    made = METHODS[name].network()
     made.load_state_dict(recipe.state_dict(recipe.inventory_of(made), SEEDS.get(name, SEED)))
     return made.eval()
 
@@ -205,6 +185,19 @@ def compare(name: str, what: str, arrays: list[np.ndarray]) -> None:
         assert difference <= limit, f"{name}, {what} {i}: {difference:.2e}"
 
 
+def assert_found(
+    patch: Callable[..., None],
+    plant: Callable[[Callable[..., None]], None],
+    check: Callable[[str], None],
+    name: str,
+) -> None:
+    """A check of a method fails with a fault that ``plant`` plants; ``patch``: setattr."""
+    network(name)  # made before anything is broken
+    plant(patch)
+    with pytest.raises(AssertionError):
+        check(name)
+
+
 def record(names: Iterable[str]) -> None:
     GOLDEN.mkdir(exist_ok=True)
     for name in names:
@@ -214,15 +207,25 @@ def record(names: Iterable[str]) -> None:
             "input": together(network_sees(method)),
             "raw": raw_outputs(method),
         }
-        arrays = {f"{k}_{i}": thinned(x) for k, g in groups.items() for i, x in enumerate(g)}
-        small = {k: v if v.dtype.kind == "i" else v.astype(np.float32) for k, v in arrays.items()}
-        np.savez_compressed(GOLDEN / f"{name}.npz", **small)
+        save(name, groups)
+
+
+def save(name: str, groups: Mapping[str, Sequence[np.ndarray]]) -> None:
+    """What :func:`compare` compares with."""
+    arrays = {f"{k}_{i}": thinned(x) for k, g in groups.items() for i, x in enumerate(g)}
+    small = {k: v if v.dtype.kind == "i" else v.astype(np.float32) for k, v in arrays.items()}
+    np.savez_compressed(GOLDEN / f"{name}.npz", **small)
+
+
+def command(doc: str, record: Callable[[], None]) -> None:
+    """The command line of a module that records."""
+    if sys.argv[1:] != ["record"]:
+        sys.exit(doc)
+    record()
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["record"]:
-        record(sys.argv[2:] or NETWORKS)
-    elif sys.argv[1:2] == ["weights"] and len(sys.argv) == 3:
-        write_assets(Path(sys.argv[2]))
+        record(sys.argv[2:] or METHODS)
     else:
         sys.exit(__doc__)

@@ -1,12 +1,11 @@
 """SDFEst on ellipsoids, whose truth is in closed form, and on what was recorded from networks that
 agree with the originals (test_port_sdfest_networks.py, with the shared data).
 
-``python tests/ports/sdfest_cases.py record`` records, ``... weights DIR`` writes a folder for
-``--cpas-weights`` with the recipe's weights.
+``python tests/ports/sdfest_cases.py record`` records.
 """
 
 import functools
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import cases
@@ -128,30 +127,21 @@ def observation(category: str = "bowl", camera: Pose | None = None) -> Observati
     return Observation(category, rgb, depth.astype(np.float32), mask, CAMERA)
 
 
-def write_assets(folder: Path) -> Path:
-    """A folder for --cpas-weights with the recipe's weights, in the release's form."""
+def write_assets(folder: Path, states: Sequence[dict[str, torch.Tensor]] = ()) -> Path:
+    """A folder for --cpas-weights in the release's form; ``states``: of both networks, else the
+    recipe's weights."""
     target = folder / "sdfest"
-    target.mkdir(parents=True)
+    target.mkdir(parents=True, exist_ok=True)
+    states = states or [network.state_dict() for network in networks("released")]
     for category in sdfest.CATEGORIES:
-        for network, name in zip(networks("released"), released(category).weights, strict=True):
-            torch.save(network.state_dict(), target / name)
+        for state, name in zip(states, released(category).weights, strict=True):
+            torch.save(state, target / name)
     return folder
 
 
 def record() -> None:
-    groups = {name: network_outputs(name) for name in LAYERS}
-    arrays = {
-        f"{name}_{i}": cases.thinned(x).astype(np.float32)
-        for name, outputs in groups.items()
-        for i, x in enumerate(outputs)
-    }
-    np.savez_compressed(cases.GOLDEN / "sdfest.npz", **arrays)
+    cases.save("sdfest", {name: network_outputs(name) for name in LAYERS})
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["record"]:
-        record()
-    elif sys.argv[1:2] == ["weights"] and len(sys.argv) == 3:
-        write_assets(Path(sys.argv[2]))
-    else:
-        sys.exit(__doc__)
+    cases.command(__doc__, record)

@@ -85,7 +85,7 @@ def test_checkpoint_of_another_method(tmp_path):
     small = {k: v for k, v in weights.items() if not k.startswith("psp.")}
     torch.save(small, tmp_path / "real.pth")
     with pytest.raises(AssetError, match=r"not a checkpoint of SgpaNet.*Is it another method's"):
-        load_weights(cases.NETWORKS["sgpa"](), tmp_path / "real.pth")
+        load_weights(cases.METHODS["sgpa"].network(), tmp_path / "real.pth")
 
 
 class Evil:

@@ -11,7 +11,7 @@ from pytest_cpas.types import GroundTruth, Pose, Sample, SampleRef, Symmetry
 
 
 def loaded(name):
-    method, network = cases.METHODS[name](), cases.NETWORKS[name]()
+    method, network = cases.METHODS[name](), cases.METHODS[name].network()
     network.load_state_dict(plausible.weights(name))
     method._priors = plausible.priors().astype(np.float32)
     method._run = Runner(network, "cpu")

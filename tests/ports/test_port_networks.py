@@ -35,7 +35,7 @@ def with_published_weights(shared_ports, name):
     unused = cases.METHODS[name].unused
     used = {k: v for k, v in weights.items() if not k.startswith(unused or ("-",))}
     assert len(weights) - len(used) == {"sgpa": 16, "dpdn": 2}.get(name, 0)
-    network = cases.NETWORKS[name]()
+    network = cases.METHODS[name].network()
     network.load_state_dict(used, strict=True)
     return network.eval(), data
 
@@ -66,7 +66,7 @@ def test_samples_of_every_level(shared_ports, name, cloud):
     xyz = torch.from_numpy(data[f"input__{key}"])
     if name == "dpdn" and cloud != "prior":
         xyz = xyz - xyz.mean(1, keepdim=True)
-    encoder = cases.NETWORKS[name]().get_submodule(path)
+    encoder = cases.METHODS[name].network().get_submodule(path)
     for level, ours in enumerate(encoder.samples(xyz)):
         np.testing.assert_array_equal(ours.numpy(), data[f"aux__fps_{cloud}_{level}"])
     assert level == 3
@@ -88,12 +88,12 @@ def test_recipe_gives_the_published_numbers():
             np.testing.assert_array_equal(ours[:3].numpy(), np.float32(expected))
 
 
-@pytest.mark.parametrize("name", cases.NETWORKS)
+@pytest.mark.parametrize("name", cases.METHODS)
 def test_recorded_outputs(name):
     cases.check_network(name)
 
 
-@pytest.mark.parametrize("name", cases.NETWORKS)
+@pytest.mark.parametrize("name", cases.METHODS)
 def test_batch_equals_its_samples(name):
     network, inputs = cases.network(name), cases.network_inputs(name)
     together = cases.outputs_of(network, inputs)
