@@ -14,17 +14,17 @@ def port_info(
     name: str,
     *assets: Asset,
     needs: frozenset[Literal["rgb", "depth"]] = frozenset({"rgb", "depth"}),
-    also_gives: frozenset[Literal["score"]] = frozenset(),
+    gives: frozenset[Literal["extents", "shape", "score"]] = frozenset({"extents", "shape"}),
     licence: str = PORT_ALONE,
     object_frame: Literal["nocs", "shapenet"] = "nocs",
     categories: tuple[str, ...] = CATEGORIES,
 ) -> MethodInfo:
-    """The declaration of a port: it estimates extents and shape."""
+    """The declaration of a port; what most have in common goes without saying."""
     return MethodInfo(
         name=name,
         categories=categories,
         needs=needs,
-        gives=frozenset({"extents", "shape"}) | also_gives,
+        gives=gives,
         licence=licence,
         object_frame=object_frame,
         assets=assets,

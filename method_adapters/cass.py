@@ -56,7 +56,7 @@ class Cass(NetworkMethod[Inputs]):
             "https://drive.google.com/file/d/14K1a-Ft-YO9dUREEXxmWqF2ruUP4p7BZ",
             f"no licence stated; {NOCS_TERMS}",
         ),
-        also_gives=frozenset({"score"}),
+        gives=frozenset({"extents", "shape", "score"}),
     )
     # a refinement and classifiers that inference does not use, layers that nothing uses
     unused = (
