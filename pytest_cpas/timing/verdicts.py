@@ -12,12 +12,19 @@ from pytest_cpas.timing.intervals import Interval, decide
 class Word(Enum):
     """How a method's time compares."""
 
+    #: The whole interval of the slow-down lies above what is allowed.
     SLOWER = "SLOWER"
+    #: The whole interval is within what is allowed.
     NOT_SLOWER = "NOT SLOWER"
+    #: The same, and it is faster by more than the share that it may be slower by.
     FASTER = "FASTER"
+    #: The interval still holds what is allowed when the time for measuring is spent.
     UNDECIDED = "UNDECIDED"
+    #: There is nothing to compare with, for the reason that is given.
     NOT_COMPARED = "NOT COMPARED"
+    #: Measured, and judged by nothing: there is no --cpas-benchmark-fail.
     MEASURED = "MEASURED"
+    #: With --snapshot-update: the ratio was written.
     RECORDED = "RECORDED"
 
 

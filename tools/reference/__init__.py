@@ -36,6 +36,7 @@ PARTS = {
     "offers": checks.offers,
     "options": options.options,
     "schema": formats.schema,
+    "speed-words": verdicts.speed_words,
 }
 
 _MARKER = re.compile(r"^<!-- reference: (\S+)(.*) -->$", re.MULTILINE)

@@ -35,6 +35,7 @@ API: dict[str, tuple[str, ...]] = {
     "pytest_cpas.checks.dataset.verdicts": ("judge", "Verdict", "KnownFault"),
     "pytest_cpas.checks.metrics": (),
     "pytest_cpas.diagnosis": (),
+    "pytest_cpas.stages": ("stage",),
     "pytest_cpas.fetch": (),
 }
 

@@ -1,12 +1,15 @@
 """The words of verdicts, and exit codes."""
 
 import enum
+from collections.abc import Sequence
 
 import pytest
 
 from pytest_cpas.checks.dataset.verdicts import Word as DatasetWord
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.comparison import Verdict, Word
+from pytest_cpas.timing.verdicts import Verdict as SpeedVerdict
+from pytest_cpas.timing.verdicts import Word as SpeedWord
 from reference.code import doc_comments
 from reference.markdown import code, table
 
@@ -18,19 +21,28 @@ _EXIT = {
 }
 
 
-def exit_code(word: Word, require_golden: bool = False) -> int:
-    """What a verdict alone makes a run end with."""
-    return int(_EXIT[Verdict(word, "all", "").outcome(require_golden)])
-
-
 def golden_words() -> str:
     """The verdicts on a run."""
-    told = doc_comments(Word)
+    return _verdicts("verdict", [Verdict(word, "all", "") for word in Word])
+
+
+def speed_words() -> str:
+    """The verdicts on a method's speed."""
+    return _verdicts("verdict on speed", [SpeedVerdict(word, "", None) for word in SpeedWord])
+
+
+def _verdicts(head: str, verdicts: Sequence[Verdict] | Sequence[SpeedVerdict]) -> str:
+    """What each means, and what it alone makes a run end with."""
+    told = doc_comments(type(verdicts[0].word))
     return table(
-        ["verdict", "meaning", "exit code", "with `--cpas-require-golden`"],
+        [head, "meaning", "exit code", "with `--cpas-require-golden`"],
         (
-            (w.value, told[w.name], str(exit_code(w)), str(exit_code(w, require_golden=True)))
-            for w in Word
+            (
+                verdict.word.value,
+                told[verdict.word.name],
+                *(str(int(_EXIT[verdict.outcome(required)])) for required in (False, True)),
+            )
+            for verdict in verdicts
         ),
     )
 
