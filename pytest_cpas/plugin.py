@@ -212,7 +212,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-report",
         metavar="DIR",
-        help="write a report into DIR: report.html, report.md, report.json",
+        help="write a report into DIR: report.html, report.md, report.json, precision.csv,"
+        " precision.tex",
     )
     group.addoption(
         "--cpas-against",

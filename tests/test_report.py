@@ -107,6 +107,8 @@ def report(recorded, pytester):
         content = json.loads((folder / "report.json").read_text())
         jsonschema.validate(content, SCHEMA)
         assert sorted(path.name for path in folder.iterdir()) == [
+            "precision.csv",
+            "precision.tex",
             "report.html",
             "report.json",
             "report.md",

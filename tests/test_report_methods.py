@@ -133,12 +133,12 @@ def test_a_method_of_one_data_set_is_a_tick_at_its_axis():
 
 
 def test_pairs_of_other_data_sets():
-    runs = [told("a", "x", 10), told("b", "x", 20), told("a", "y", 30), told("b", "z", 5)]
-    content = report(*runs, told("a", "x+occlusion-1", 3))
-    assert dataset_pairs(content) == [("x", "y"), ("x", "z")]
+    runs = [told(method, dataset, 10) for method in "abc" for dataset in "xy"]
+    runs += [told("a", "z", 30), told("a", "x+occlusion-1", 3), told("b", "x+occlusion-1", 3)]
+    content = report(*runs)
+    assert dataset_pairs(content) == [("x", "y")]  # one method alone has nothing beside it
     (figure, *_) = charts(methods(content), ("x", "y"), content["thresholds"])
-    (dot,) = figure.iter("polygon")
-    assert dot.get("fill") is None  # which is grey
+    assert [dot.get("fill") for dot in figure.iter("polygon")] == [None] * 3  # which is grey
     assert page(content, {}).count('<h2 id="overview">') == 1
     assert 'id="overview"' not in page(report(told("a", "x", 10)), {})
 

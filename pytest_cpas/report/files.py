@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pytest_cpas._files import write_text
 from pytest_cpas.report.document import Document
+from pytest_cpas.report.export import precision_csv, precision_tex
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
 
@@ -15,7 +16,9 @@ from pytest_cpas.report.page import page
 def write_report(
     document: Document, folder: Path, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]
 ) -> None:
-    """Write ``report.json``, ``report.md`` and ``report.html``, each as a whole or not at all.
+    """Write ``report.json``, ``report.md``, ``report.html``, ``precision.csv``, ``precision.tex``.
+
+    Each is written as a whole or not at all.
 
     ``pictures``: WebP pictures by method and data set, and by sample, for the page.
 
@@ -24,4 +27,6 @@ def write_report(
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     write_text(folder / "report.md", markdown(document))
+    write_text(folder / "precision.csv", precision_csv(document))
+    write_text(folder / "precision.tex", precision_tex(document))
     write_text(folder / "report.html", page(document, pictures))

@@ -423,7 +423,9 @@ def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
         figures.append(
             element(
                 "figure",
-                element("img", src=source, alt=f"boxes and surfaces in {name}", loading="lazy"),
+                element(
+                    "img", src=source, alt=f"boxes and surfaces in {name}", width=512, height=256
+                ),
                 element("figcaption", f"{sample['category']} {name}", element("small", words)),
             )
         )

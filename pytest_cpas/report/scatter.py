@@ -71,13 +71,13 @@ def methods(document: Document) -> list[Method]:
 
 
 def dataset_pairs(document: Document) -> list[tuple[str, str]]:
-    """Pairs of data sets, of the runs and of the paper, that any method was judged on."""
+    """Pairs of data sets, of the runs and of the paper, that several methods were judged on."""
     known = {_dataset(run) for run in document["runs"] if not perturbation_of(run["dataset"])}
     judged = [method.precision.keys() for method in methods(document)]
     return [
         pair
         for pair in itertools.combinations(sorted({*known, *document["published"]}), 2)
-        if any(set(pair) <= names for names in judged)
+        if sum(set(pair) <= names for names in judged) > 1
     ]
 
 

@@ -1,0 +1,186 @@
+"""The precision tables as CSV, with exact counts, and as LaTeX, as a paper prints them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+from collections.abc import Iterator, Sequence
+
+from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.report.document import Document
+from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
+from pytest_cpas.robustness import perturbation_of
+
+#: Data sets beside each other in a table.
+_BESIDE = 2
+
+_COLUMNS = (
+    "dataset",
+    "method",
+    "source",
+    "category",
+    "rotation_deg",
+    "position_m",
+    "fscore_1cm",
+    "correct_low",
+    "correct_high",
+    "total",
+    "precision",
+)
+
+#: How the best three of a column are marked.
+_MARKS = ("{}", r"\textbf{{{}}}", r"\underline{{{}}}", r"\textit{{{}}}")
+
+_PLACES = ("first", "second", "third")
+
+#: What LaTeX takes for a command.
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': r"{\char34}",
+    # after the end of a line these would be its arguments
+    "[": "{[}",
+    "*": "{*}",
+    **{character: "\\" + character for character in "&%$#_{}"},
+}
+
+
+def precision_csv(document: Document) -> str:
+    """One line per data set, method, category and joint threshold; what is n/a has none.
+
+    ``source`` is measured or paper. Between ``correct_low`` and ``correct_high`` of ``total``
+    samples are correct: the same number, unless the paper's print leaves it open. An empty
+    ``fscore_1cm`` is no threshold on shape.
+    """
+    limits = {
+        threshold.label: (
+            f"{threshold.rotation_deg:g}",
+            f"{threshold.position_m:g}",
+            "" if threshold.fscore is None else f"{threshold.fscore:g}",
+        )
+        for threshold in THRESHOLDS
+    }
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for dataset, method, source, entry, low, high, total in _counts(document):
+        precision = f"{low / total:.4f}"
+        where = (dataset, method, source, entry["category"], *limits[entry["threshold"]])
+        writer.writerow((*where, low, high, total, precision))
+    return text.getvalue()
+
+
+def _counts(document: Document) -> Iterator[tuple[str, str, str, Document, int, int, int]]:
+    for run in document["runs"]:
+        for entry in run["precision"]:
+            if count := entry["measured"]:
+                correct, total = count["correct"], count["total"]
+                yield run["dataset"], run["method"], "measured", entry, correct, correct, total
+    for dataset, entries in document["published"].items():
+        for method, told in entries.items():
+            for entry in told["precision"]:
+                count = entry["published"]
+                low, high = count["lowest"], count["highest"]
+                yield dataset, method, "paper", entry, low, high, count["total"]
+
+
+def precision_tex(document: Document) -> str:
+    r"""Tables for booktabs, to be taken in with ``\input``: over all categories, and per category.
+
+    Precision has four decimals, as in the paper; the best three of a column are marked.
+    """
+    thresholds = document["thresholds"]
+    shown = [group for group in groups(document) if not perturbation_of(group[1][0]["dataset"])]
+    lines = [r"% Precision by pytest-cpas. Needs \usepackage{booktabs}."]
+    for first in range(0, len(shown), _BESIDE):
+        lines += _overall(shown[first : first + _BESIDE], thresholds)
+    for title, runs, published in shown:
+        for threshold, categories, table in category_tables(thresholds, runs, published):
+            lines += _table(
+                f"Precision on {_escape(title)} per category at {_threshold(threshold)}.",
+                [[_escape(category) for category in categories]],
+                [(_method(line), line.cells) for line in table],
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _overall(
+    shown: Sequence[tuple[str, list[Document], Document]], thresholds: Sequence[str]
+) -> Iterator[str]:
+    """The table of some data sets beside each other; a method has one line."""
+    tables = [precision_table(thresholds, runs, published) for _, runs, published in shown]
+    known = [{(line.method, line.paper): line for line in table} for table in tables]
+    names = dict.fromkeys(name for lines in known for name in lines)
+    nothing: list[Cell | None] = [None] * len(thresholds)
+    lines = []
+    for name in sorted(names, key=lambda name: name[1]):  # what was measured first
+        found = [lines.get(name) for lines in known]
+        cells = itertools.chain.from_iterable(line.cells if line else nothing for line in found)
+        lines.append((next(_method(line) for line in found if line), list(cells)))
+    yield from _table(
+        f"Precision on {' and '.join(_escape(title) for title, *_ in shown)}.",
+        [[_threshold(label) for label in thresholds] for _ in shown],
+        lines,
+        titles=[_escape(title) for title, *_ in shown],
+    )
+
+
+def _table(
+    caption: str,
+    heads: Sequence[Sequence[str]],
+    lines: Sequence[tuple[str, Sequence[Cell | None]]],
+    titles: Sequence[str] = (),
+) -> Iterator[str]:
+    """A table whose columns stand in groups of ``heads``, each below its title if there are any."""
+    columns = sum(map(len, heads))
+    if any(cell.rank for _, cells in lines for cell in cells if cell):
+        places = zip(_MARKS[1:], _PLACES, strict=True)
+        caption += f" Best three: {'; '.join(mark.format(word) for mark, word in places)}."
+    yield from ("", r"\begin{table*}", r"  \centering")
+    yield rf"  \caption{{{caption}}}"
+    yield rf"  \begin{{tabular}}{{l{'r' * columns}}}"
+    yield r"    \toprule"
+    if titles:
+        spans = zip(titles, heads, strict=True)
+        over = (rf"\multicolumn{{{len(head)}}}{{c}}{{{title}}}" for title, head in spans)
+        yield rf"    & {' & '.join(over)} \\"
+        last = 1
+        for head in heads:
+            yield rf"    \cmidrule(lr){{{last + 1}-{last + len(head)}}}"
+            last += len(head)
+    yield rf"    Method & {' & '.join(itertools.chain.from_iterable(heads))} \\"
+    yield r"    \midrule"
+    for method, cells in lines:
+        yield rf"    {method} & {' & '.join(map(_cell, cells))} \\"
+    yield from (r"    \bottomrule", r"  \end{tabular}", r"\end{table*}")
+
+
+def _method(line: Line) -> str:
+    return _escape(line.method) + (" (paper)" if line.paper else "")
+
+
+def _cell(cell: Cell | None) -> str:
+    return "n/a" if cell is None else _MARKS[cell.rank].format(f"{cell.correct / cell.total:.4f}")
+
+
+def _threshold(label: str) -> str:
+    """The label of a joint threshold, in signs."""
+    parts = []
+    for part in label.split(", "):
+        value, _, unit = part.partition(" ")
+        if value == "F":
+            parts.append(rf"$F \geq {unit}$")
+        else:
+            parts.append(rf"${value}^\circ$" if unit == "deg" else rf"{value}\,{unit}")
+    return ", ".join(parts)
+
+
+def _escape(text: str) -> str:
+    """Text from data, as it is, in one line."""
+    shown = (char if char.isprintable() else "?" for char in " ".join(text.split()))
+    return "".join(_SPECIAL.get(char, char) for char in shown).replace("--", "-{}-")
