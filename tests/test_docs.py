@@ -29,6 +29,7 @@ from pytest_cpas.checks.contract import CONTRACT
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.dataset.verdicts import Word as DatasetWord
 from pytest_cpas.checks.metrics import KNOWN, PROPERTIES
+from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.cli import main
 from pytest_cpas.comparison import Word
@@ -37,6 +38,11 @@ from pytest_cpas.timing.verdicts import Word as SpeedWord
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BY_ENVIRONMENT = ("cpas_data", "cpas_weights")
+#: Defaults that the parser does not hold.
+ELSEWHERE = {
+    "cpas_examples": str(DEFAULT_EXAMPLES),
+    "cpas_golden": "ini cpas_golden, else golden/ in the root directory",
+}
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +61,20 @@ def test_every_option_is_in_the_reference_with_its_default(defaults):
     described = re.findall(r"^### (--cpas-[a-z-]+)", page, re.MULTILINE)
     assert sorted(described) == sorted(map(option, defaults))
     for name, value in defaults.items():
-        if name in BY_ENVIRONMENT or value in (None, []):
-            expected = "none"
-        else:
-            expected = "off" if value is False else f"`{value}`"
         told = section(page, name.replace("_", "-"))
-        assert re.search(rf"^Default: {re.escape(expected)}[.;]", told, re.MULTILINE), name
+        (shown,) = re.findall(r"^Default: (.+?)[.;]", told, re.MULTILINE)
+        if name in BY_ENVIRONMENT:
+            assert shown == f"environment variable {name.upper()}"
+        elif value in (None, []):
+            assert shown == ELSEWHERE.get(name, "none")
+        else:
+            assert shown == ("off" if value is False else f"`{value}`")
 
 
 def test_the_reference_says_what_pytest_help_says(pytester, defaults):
     helped = pytester.runpytest_inprocess("-p", "no:dash", "--help").stdout.str()
-    helped = " ".join(helped.split())
+    # what is repeatable and which default it has stands in a line of its own
+    helped = re.sub(r" \((default: [^)]*|repeatable)\)", "", " ".join(helped.split()))
     page = text("reference/options.md")
     for name in map(option, defaults):
         told = section(page, name.strip("-")).strip().partition("\n\n")[0]
@@ -333,6 +342,22 @@ def test_pages_are_plain_files():
             fenced ^= before.startswith("```")
             if not fenced and re.match(r"([*-]|\d+\.) ", line):
                 assert not before or re.match(r"([*-]|\d+\.) | ", before), f"{name}: {line}"
+
+
+def test_a_page_that_fetches_something_ends_the_build():
+    pytest.importorskip("mkdocs")
+    from docs_hook import on_post_page
+    from mkdocs.exceptions import PluginError
+
+    local = '<a href="https://example.org"><script src="bundle.js"></script>'
+    assert on_post_page(local, "page") == local
+    for fetched in (
+        '<script src="https://unpkg.com/iframe-worker/shim"></script>',
+        '<link rel="stylesheet" href="https://fonts.googleapis.com/css?family=Roboto">',
+        '<img alt="" src="http://example.org/a.png">',
+    ):
+        with pytest.raises(PluginError, match="without network"):
+            on_post_page(local + fetched, "page")
 
 
 def test_names_of_pages_are_portable():

@@ -1,13 +1,16 @@
 """Modules, classes and functions as Markdown, from their signatures and docstrings."""
 
 import enum
+import functools
 import importlib
 import inspect
 import re
 import textwrap
+from collections import Counter
 from types import ModuleType
 from typing import Any
 
+from pytest_cpas import metrics
 from reference.markdown import block, heading
 
 #: What users import, beside the metrics, which have a page of their own.
@@ -39,6 +42,8 @@ API: dict[str, tuple[str, ...]] = {
     "pytest_cpas.fetch": (),
 }
 
+_METRICS = metrics.__name__
+
 _ROLE = re.compile(r":(?:class|func|meth|data|mod|attr):`~?([^`]+)`")
 
 
@@ -50,12 +55,33 @@ def members(module: ModuleType, names: tuple[str, ...] = ()) -> dict[str, Any]:
 def prose(docstring: str) -> str:
     """A docstring as Markdown."""
     text = inspect.cleandoc(docstring)
-    text = _ROLE.sub(lambda found: f"``{found[1].removeprefix('pytest_cpas.types.')}``", text)
     text = re.sub(r"``([^`]+)``", r"`\1`", text)
+    text = _ROLE.sub(_linked, text)
     text = re.sub(r"^::$\n?", "", text, flags=re.MULTILINE)
     text = re.sub(r"::$", ":", text, flags=re.MULTILINE)
     # Python-Markdown wants an empty line before a list
     return re.sub(r"(^[^*\n -][^\n]*\n)(?=[*-] )", r"\1\n", text, flags=re.MULTILINE)
+
+
+def _linked(role: re.Match[str]) -> str:
+    """What a role names, and where that is."""
+    name = role[1]
+    address = _addresses().get(name)
+    return f"[`{name.rpartition('.')[2]}`]({address})" if address else f"`{name}`"
+
+
+@functools.cache
+def _addresses() -> dict[str, str]:
+    """Where names have their section: full names, and short ones that only one thing has."""
+    full = {
+        f"{module}.{name}": f"api.md#{module}.{name}"
+        for module, names in API.items()
+        for name in names or importlib.import_module(module).__all__
+    }
+    full |= {f"{_METRICS}.{name}": f"metrics.md#{_METRICS}.{name}" for name in metrics.__all__}
+    counts = Counter(name.rpartition(".")[2] for name in full)
+    short = {k.rpartition(".")[2]: v for k, v in full.items() if counts[k.rpartition(".")[2]] == 1}
+    return full | short
 
 
 def first_line(docstring: str | None) -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 from unittest import mock
 
 from pytest_cpas import plugin
@@ -56,11 +57,17 @@ def options() -> str:
     return "\n\n".join(_option(action) for action in parser_options())
 
 
+#: What a help text says that has a place of its own here.
+_ASIDE = re.compile(r" \((?:default: ([^)]*)|repeatable)\)")
+
+
 def default(action: argparse.Action) -> str:
-    """The default of an option in words."""
+    """The default of an option in words; one that the parser does not hold as its help says."""
     if isinstance(action, argparse._StoreTrueAction):
         return "off"
-    return "none" if action.default in (None, []) else code(action.default)
+    if action.default not in (None, []):
+        return code(action.default)
+    return next(filter(None, _ASIDE.findall(action.help)), "none")
 
 
 def _option(action: argparse.Action) -> str:
@@ -78,7 +85,7 @@ def _option(action: argparse.Action) -> str:
 
 def _plain(text: str) -> str:
     # argparse writes a percent sign as two
-    return (text[0].upper() + text[1:]).replace("%%", "%")
+    return _ASIDE.sub("", text[0].upper() + text[1:]).replace("%%", "%")
 
 
 def ini() -> str:
