@@ -106,7 +106,8 @@ def ports(session: nox.Session) -> None:
 @nox.session
 def docs(session: nox.Session) -> None:
     """The documentation, in site/, with the report of a run that is made for it."""
-    install(session, "-e", ".[open3d]", "--group", "docs")
+    # every method is imported to be asked for what it declares
+    install(session, "-e", ".[open3d,sdf,torch]", "--group", "docs")
     session.run(
         "pytest",
         "--cpas-method=icp",
