@@ -31,6 +31,7 @@ from pytest_cpas.published import compare_published, published_cells
 from pytest_cpas.report.against import against, pairs
 from pytest_cpas.report.document import Document, document, run_document
 from pytest_cpas.report.files import write_report
+from pytest_cpas.report.progress import watch
 from pytest_cpas.report.robustness import print_curves
 from pytest_cpas.report.stored import StoredReportError, read_runs
 from pytest_cpas.report.terminal import print_run, shows_samples
@@ -73,6 +74,7 @@ class CpasSession(SuiteSession):
         self.speed: dict[Run, Document] = {}
         self.documents: list[Document] = []
         self.others = _other_runs(config, self.runs)
+        self.progress = watch(config, self.runs, self.rows)
         self._broken = 0
 
     def stage(self, run: Run) -> Stage | None:
@@ -112,6 +114,8 @@ class CpasSession(SuiteSession):
         ]
         self.rows[run] |= {row.sample: row for row in rows}
         self.errors[run] |= dict(content["errors"])
+        if self.progress:
+            self.progress.add(run, rows, len(content["errors"]))
         if file := self.files.get(run):
             try:
                 for row in rows:
