@@ -107,12 +107,17 @@ def main(samples: int, rows: int) -> None:
                 f" ({times['cpu_s'] / peer['cpu_s']:.2f} of pytest's CPU time),"
                 f" peak {times['peak_mib']:.0f} MiB"
             )
-        large = ("-n2", "--cpas-granularity=scene", "--cpas-golden=large", "--snapshot-update")
-        times = run(folder, rows, *names, *large)
-        print(
-            f"controller of 2 workers, {rows} rows: {1000 * times['cpu_s'] / rows:.3f} ms per row"
-            f" (CPU), peak {times['peak_mib']:.0f} MiB"
-        )
+        large = ("-n2", "--cpas-granularity=scene", "--cpas-golden=large")
+        for title, end in (
+            ("recording", "--snapshot-update"),
+            ("comparing", "--cpas-require-golden"),
+        ):
+            times = run(folder, rows, *names, *large, end)
+            print(
+                f"controller of 2 workers, {title}, {rows} rows:"
+                f" {1000 * times['cpu_s'] / rows:.3f} ms per row (CPU), peak"
+                f" {times['peak_mib']:.0f} MiB"
+            )
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -138,37 +139,54 @@ def compare(golden: RunTable | None, new: RunTable) -> list[Verdict]:
 
 @dataclass(frozen=True)
 class _Pairing:
-    """The samples of a category, or of all of them, in both tables."""
+    """The samples of a category, or of all of them, in both tables.
+
+    ``old`` and ``new`` hold all samples; ``both`` names those of the category that both tables
+    have, ``extra`` those that only the new one has.
+    """
 
     category: str
     old: Mapping[str, TableSample]
     new: Mapping[str, TableSample]
+    both: Sequence[str]
+    extra: Sequence[str]
     recorded: int
     listed: int
 
     @classmethod
     def of(cls, golden: RunTable, new: RunTable, category: str | None) -> _Pairing:
         """Of one category; of all if it is None."""
-        old, judged = (
-            {k: s for k, s in table.samples.items() if category in (None, s.category)}
-            for table in (golden, new)
-        )
-        listed = sum(n for k, n in new.listed.items() if category in (None, k))
-        return cls(category or "all", old, judged, len(old), listed)
 
-    @property
-    def both(self) -> list[str]:
-        return sorted(self.old.keys() & self.new.keys())
+        def is_meant(sample: TableSample | None) -> bool:
+            return sample is not None and category in (None, sample.category)
+
+        old = golden.samples
+        judged = sorted(name for name, sample in new.samples.items() if is_meant(sample))
+        return cls(
+            category or "all",
+            old,
+            new.samples,
+            both=[name for name in judged if is_meant(old.get(name))],
+            extra=[name for name in judged if not is_meant(old.get(name))],
+            recorded=sum(map(is_meant, old.values())),
+            listed=sum(n for k, n in new.listed.items() if category in (None, k)),
+        )
 
     def flips(self, index: int) -> _Flips:
         """What changed at a threshold."""
-        pairs = [(k, self.old[k].outcome[index] + self.new[k].outcome[index]) for k in self.both]
+        names: dict[str, list[str]] = {"10": [], "01": [], "-": []}
+        seen: Counter[str] = Counter()
+        for name in self.both:
+            pair = self.old[name].outcome[index] + self.new[name].outcome[index]
+            seen[pair] += 1
+            if pair[0] != pair[1]:
+                names["-" if "-" in pair else pair].append(name)
         return _Flips(
-            before=sum(pair[0] == "1" for _, pair in pairs),
-            after=sum(pair[1] == "1" for _, pair in pairs),
-            lost=[k for k, pair in pairs if pair == "10"],
-            gained=[k for k, pair in pairs if pair == "01"],
-            not_applicable=[k for k, pair in pairs if pair[0] != pair[1] and "-" in pair],
+            before=sum(n for pair, n in seen.items() if pair[0] == "1"),
+            after=sum(n for pair, n in seen.items() if pair[1] == "1"),
+            lost=names["10"],
+            gained=names["01"],
+            not_applicable=names["-"],
         )
 
     def told(self, index: int, flips: _Flips, remark: str = "") -> list[str]:
@@ -201,9 +219,9 @@ class _Pairing:
                 f"the data set and the method have {self.listed} samples in common, the golden"
                 f" table has {self.recorded}"
             )
-        extra = sorted(self.new.keys() - self.old.keys())
-        if extra:
-            lines.append(f"{len(extra)} samples are not in the golden table, first {extra[0]}")
+        if self.extra:
+            first = self.extra[0]
+            lines.append(f"{len(self.extra)} samples are not in the golden table, first {first}")
         return lines
 
     @property
@@ -227,18 +245,18 @@ class _Pairing:
         """Errors that moved without crossing a threshold, the one that moved most named."""
         lines = []
         for column, (what, factor, unit) in enumerate(_MOVING):
-            moves = [
-                (abs(new - old), name, old, new)
-                for name in self.both
-                if (old := self.old[name].errors[column]) is not None
-                and (new := self.new[name].errors[column]) is not None
-                and not math.isclose(old, new, rel_tol=_SAME_RELATIVE, abs_tol=_SAME_ABSOLUTE)
-            ]
-            if moves:
-                _, name, old_error, new_error = max(moves)
+            count, most = 0, (0.0, "", 0.0, 0.0)
+            for name in self.both:
+                old, new = self.old[name].errors[column], self.new[name].errors[column]
+                if old is None or new is None:
+                    continue
+                if not math.isclose(old, new, rel_tol=_SAME_RELATIVE, abs_tol=_SAME_ABSOLUTE):
+                    count, most = count + 1, max(most, (abs(new - old), name, old, new))
+            if count:
+                _, name, before, after = most
                 lines.append(
-                    f"note: {what} moved in {len(moves)} samples, most in {name}:"
-                    f" {factor * old_error:.3g} -> {factor * new_error:.3g}{unit}"
+                    f"note: {what} moved in {count} samples, most in {name}:"
+                    f" {factor * before:.3g} -> {factor * after:.3g}{unit}"
                 )
         return lines
 
