@@ -10,6 +10,7 @@ import math
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from urllib.parse import urlencode
 
 import pytest
@@ -17,6 +18,7 @@ import pytest
 from pytest_cpas.comparison import compare
 from pytest_cpas.evaluation import Row, Run
 from pytest_cpas.golden import RunTable, find_golden, shipped_golden
+from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.files import write_report
 from pytest_cpas.types import SampleRef
@@ -113,11 +115,11 @@ class Stored(Run):
         raise NotImplementedError
 
 
-def stored_run(name, spoil):
+def stored_run(name, spoil, method="icp"):
     """The recorded run of icp on a data set, spoiled, against its golden table."""
     golden = find_golden(shipped_golden(), "icp", name)
     refs = [SampleRef(sample, it.category, "s") for sample, it in golden.samples.items()]
-    run = Stored("icp", name, refs, identity=golden.identity)
+    run = Stored(method, name, refs, identity=golden.identity)
     run.seeds = golden.seeds
     judged = [
         spoil(index, Row(sample, it.category, *it.errors, failure=it.failure or None))
@@ -148,13 +150,29 @@ def spoiled(index, row):
     return Row(row.sample, row.category, *errors, failure=row.failure)
 
 
+def better(index, row):
+    turned = row.rotation_error * (0.3 if index % 4 == 0 else 1)
+    return replace(row, rotation_error=turned)
+
+
+def worse(index, row):
+    turned = min(180.0, row.rotation_error * (20 if index % 6 == 0 else 1))
+    return replace(row, rotation_error=turned)
+
+
 @pytest.fixture(scope="module")
 def content():
+    hostile = "<img src=x onerror=\"document.title = 'hacked'\">"
     runs = [
         stored_run("synthetic-tabletop", lambda index, row: row),
         stored_run("synthetic-handheld", spoiled),
+        stored_run("synthetic-tabletop", better, hostile),
+        stored_run("synthetic-handheld", better, hostile),
     ]
-    return document(runs, 1)
+    made = document(runs, 1)
+    old = [stored_run("synthetic-handheld", better), stored_run("synthetic-tabletop", worse)]
+    made["against"] = against(runs, old)
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -202,12 +220,58 @@ def test_filters_of_a_shared_link(browser, address, content, verdict, category):
     )
 
 
+@pytest.mark.parametrize("kind", ["lost", "gained"])
+def test_filters_of_what_changed_since_another_run(browser, address, content, kind):
+    """As a link of the comparison sets them, and with a category on top."""
+    browser.show(address)
+    browser.run(
+        "[...document.querySelectorAll('h2#against ~ p a')].find("
+        f"a => a.textContent.endsWith(' {kind} since')).click()"
+    )
+    browser.run("dispatchEvent(new HashChangeEvent('hashchange'))")
+    pair = next(pair for pair in content["against"]["pairs"] if any(f[kind] for f in pair["flips"]))
+    expected = [flip["sample"] for flip in pair["flips"] if flip[kind]]
+    assert expected
+    assert names(browser) == expected
+    assert browser.run("location.hash").endswith(f"verdict={kind}+since")
+    browser.show(f"{address}#{urlencode({'verdict': f'{kind} since', 'category': 'mug'})}")
+    mugs = {
+        flip["sample"]
+        for pair in content["against"]["pairs"]
+        for flip in pair["flips"]
+        if flip[kind] and flip["category"] == "mug"
+    }
+    assert set(names(browser)) == mugs
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_two_data_sets_at_a_time(browser, address, width, scheme):
+    """Dots and their names are inside the charts; what was not timed is grey in both schemes."""
+    browser.show(address, width, scheme=scheme)
+    charts = "[...document.querySelectorAll('.overview .chart svg')]"
+    assert browser.run(f"{charts}.map(c => c.querySelectorAll('.dot.measured').length)") == [2] * 4
+    assert browser.run(
+        f"{charts}.every(c => [...c.querySelectorAll('.dot, .name')].every(n => {{"
+        "  const [a, b] = [n.getBoundingClientRect(), c.getBoundingClientRect()];"
+        "  return a.left >= b.left && a.right <= b.right && a.top >= b.top && a.bottom <= b.bottom;"
+        "}))"
+    )
+    fill = browser.run("getComputedStyle(document.querySelector('.dot.measured')).fill")
+    red, green, blue = map(int, fill.removeprefix("rgb(").strip(")").split(","))
+    assert max(red, green, blue) - min(red, green, blue) < 30
+    described = browser.run(f"{charts}[0].querySelector('desc').textContent")
+    assert "icp: " in described
+    assert "not timed" in described
+
+
 def test_choosing_changes_list_and_link_and_a_link_of_a_card_the_list(browser, address, content):
     browser.show(address)
     total = sum(len(run["samples"]) for run in content["runs"])
     assert len(names(browser)) == 200 < total
-    browser.run("document.getElementById('more').click()")
-    assert len(names(browser)) == total
+    for shown in (400, total):
+        browser.run("document.getElementById('more').click()")
+        assert len(names(browser)) == shown
     browser.run(
         "const field = document.forms[0].elements.category; field.value = 'can';"
         "field.dispatchEvent(new Event('input', {bubbles: true}))"

@@ -36,9 +36,9 @@ class Line:
 def curve_lines(published: Document, runs: Sequence[Document]) -> list[Line]:
     """The curves of runs on one data set: the paper's, then on top of them the measured ones.
 
-    A method has one colour, measured and in the paper.
+    A method has one colour, measured and in the paper, and in whatever order runs come.
     """
-    names = list(dict.fromkeys([*published, *(run["method"] for run in runs)]))
+    names = list(dict.fromkeys([*published, *sorted(run["method"] for run in runs)]))
     colours = {name: index % _COLOURS for index, name in enumerate(names)}
     return [
         *(Line(name, True, colours[name], published[name]["curves"]) for name in published),

@@ -46,6 +46,9 @@ from pytest_cpas.report.words import (
 #: Flips that the page lists with their errors; the list of samples has all.
 _FLIPS = 50
 
+#: Differences between two runs that are less probable than this by chance are coloured.
+_TELLING = 0.05
+
 #: Runs of which the details are unfolded although nothing is wrong with them.
 _UNFOLDED = 2
 
@@ -267,7 +270,8 @@ def _run_times(document: Document) -> Iterator[Element]:
     for run in timed:
         first, *rest = speed_lines(run["speed"])
         yield element("h3", _name(run))
-        yield element("p", first, class_=run["speed"]["verdict"]["outcome"])
+        failed = run["speed"]["verdict"]["outcome"] == "failed"
+        yield element("p", first, class_="failed" if failed else None)
         yield element("ul", [element("li", line) for line in rest])
     printed: dict[str, Document] = {
         method: entry["run_time"]
@@ -383,7 +387,7 @@ def _against(against: Document, thresholds: Sequence[str]) -> Iterator[Element]:
         yield element(
             "p",
             "In brackets the difference in percentage points. p: McNemar's exact test, two-sided,"
-            " which takes samples for independent.",
+            f" which takes samples for independent; below {_TELLING:g} it is coloured.",
             class_="faint",
         )
         if pair["flips"]:
@@ -401,12 +405,10 @@ def _against(against: Document, thresholds: Sequence[str]) -> Iterator[Element]:
 
 def _change_cell(entry: Document) -> Element:
     precision, flips = change_words(entry)
-    kind = {-1: "unmet", 0: None, 1: "met"}[_sign(entry["gained"] - entry["lost"])]
+    kind = None
+    if entry["p"] is not None and entry["p"] < _TELLING:
+        kind = "met" if entry["gained"] > entry["lost"] else "unmet"
     return element("td", element("span", precision, class_=kind), element("small", flips))
-
-
-def _sign(value: int) -> int:
-    return (value > 0) - (value < 0)
 
 
 def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:

@@ -20,6 +20,9 @@ PAIRS = 6
 _WIDTH, _HEIGHT = 360, 330
 _LETTER, _LINE = 6.2, 11.0
 
+#: Letters of a name that a chart has room for.
+_LONGEST = 22
+
 #: The colours of 10 ms to 10 s, evenly spaced by their logarithm (viridis).
 _FASTEST, _SLOWEST = 0.01, 10.0
 _COLOURS = (
@@ -174,7 +177,7 @@ def _told(method: Method, x: float | None, y: float | None, pair: tuple[str, str
 
 def _labels(places: Sequence[_Place], axes: Axes) -> Iterator[Element]:
     """Names beside dots, each where it covers least of the other names and dots."""
-    dots = [(axes.across(x or 0), axes.up(y or 0), method.name) for method, x, y in places]
+    dots = [(axes.across(x or 0), axes.up(y or 0), _short(method.name)) for method, x, y in places]
     taken = [(x - 6, y - 6, x + 6, y + 6) for x, y, _ in dots]
     for x, y, name in sorted(dots):
         width = _LETTER * len(name)
@@ -189,6 +192,10 @@ def _labels(places: Sequence[_Place], axes: Axes) -> Iterator[Element]:
         box = min(choices)[1]
         taken.append(box)
         yield element("text", name, x=round(box[0], 1), y=round(box[3] - 2, 1), class_="name")
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
 
 
 _Box = tuple[float, float, float, float]

@@ -108,7 +108,7 @@ def disc(side: Document, title: str, *, estimate: bool) -> Element:
                 d="".join(dots),
                 class_="ups estimate" if estimate else "ups truth",
                 stroke_width=_DOT,
-                stroke_opacity=0.8 if len(dots) < 100 else 0.45,
+                stroke_opacity=0.9 if len(dots) < 100 else 0.6,
             ),
             [
                 element("text", name, x=middle + across, y=middle + down, text_anchor="middle")
