@@ -6,7 +6,6 @@ import json
 import pkgutil
 import re
 import tomllib
-from pathlib import PurePosixPath
 
 import pytest
 from docs_pages import (
@@ -358,7 +357,3 @@ def test_a_page_that_fetches_something_ends_the_build():
     ):
         with pytest.raises(PluginError, match="without network"):
             on_post_page(local + fetched, "page")
-
-
-def test_names_of_pages_are_portable():
-    assert all(PurePosixPath(name).name == name.rpartition("/")[2].lower() for name in pages())
