@@ -19,7 +19,7 @@ _AXES = {
 #: Of a chart, in units of the SVG.
 _WIDTH, _HEIGHT = 360, 250
 
-#: Colours in page.css.
+#: Colours in page/page.css.
 _COLOURS = 12
 
 

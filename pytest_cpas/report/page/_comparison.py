@@ -1,0 +1,56 @@
+"""The runs beside those of another one, on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pytest_cpas.report._html import Element, element
+from pytest_cpas.report.document import Document
+from pytest_cpas.report.page._parts import flip_table, sample_link, table
+from pytest_cpas.report.tables import category_lines
+from pytest_cpas.report.words import change_words, pair_title, pair_words, worst_flips_first
+
+#: Differences between two runs that are less probable than this by chance are coloured.
+_TELLING = 0.05
+
+
+def comparison(document: Document) -> Iterator[Element]:
+    """The section, if the document has a comparison."""
+    if "against" not in document:
+        return
+    against = document["against"]
+    yield element("h2", "Compared with another run", id="against")
+    for pair in against["pairs"]:
+        yield element("h3", pair_title(pair))
+        first, *conditions = pair_words(pair)
+        yield element("p", first)
+        if conditions:
+            yield element("pre", "\n".join(conditions))
+        yield table(
+            ["before → now", *document["thresholds"]],
+            [
+                element("tr", element("td", category), [_change_cell(entry) for entry in entries])
+                for category, entries in category_lines(pair)
+            ],
+        )
+        yield element(
+            "p",
+            "In brackets the difference in percentage points. p: McNemar's exact test, two-sided,"
+            f" which takes samples for independent; below {_TELLING:g} it is coloured.",
+            class_="faint",
+        )
+        if pair["flips"]:
+            kinds = ((f"{kind} since", kind) for kind in ("lost", "gained"))
+            counts = [(sum(bool(f[kind]) for f in pair["flips"]), word) for word, kind in kinds]
+            yield element("p", [sample_link(n, pair, word) for n, word in counts if n])
+            yield from flip_table(worst_flips_first(pair["flips"]))
+    if against["unpaired"]:
+        yield element("p", "Without a counterpart: ", ", ".join(against["unpaired"]))
+
+
+def _change_cell(entry: Document) -> Element:
+    precision, flips = change_words(entry)
+    kind = None
+    if entry["p"] is not None and entry["p"] < _TELLING:
+        kind = "met" if entry["gained"] > entry["lost"] else "unmet"
+    return element("td", element("span", precision, class_=kind), element("small", flips))

@@ -1,0 +1,157 @@
+"""Methods beside each other on the page: precision, up axes, two data sets, run time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from pytest_cpas.report._html import Element, element
+from pytest_cpas.report.curves import charts, curve_lines
+from pytest_cpas.report.document import Document
+from pytest_cpas.report.page._parts import run_name, table
+from pytest_cpas.report.scatter import PAIRS, dataset_pairs, methods
+from pytest_cpas.report.scatter import charts as scatter_charts
+from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
+from pytest_cpas.report.up_axes import disc
+from pytest_cpas.report.words import seconds_words, speed_lines
+
+
+def precision(document: Document) -> Iterator[Element]:
+    """Per data set the tables, measured and published, and the curves."""
+    thresholds = document["thresholds"]
+    for title, runs, published in groups(document):
+        yield element("h2", f"Precision on {title}")
+        lines = precision_table(thresholds, runs, published)
+        yield _method_table(["correct at", *thresholds], lines)
+        for threshold, categories, lines in category_tables(thresholds, runs, published):
+            yield element(
+                "details",
+                element("summary", f"Per category at {threshold}"),
+                _method_table(["correct", *categories], lines),
+            )
+        yield element("div", list(charts(curve_lines(published, runs))), class_="charts")
+
+
+def _method_table(head: Sequence[str], lines: Sequence[Line]) -> Element:
+    return table(
+        head,
+        [
+            element(
+                "tr",
+                element("td", line.method, " (paper)" if line.paper else None),
+                [_precision_cell(cell) for cell in line.cells],
+                class_="paper" if line.paper else None,
+            )
+            for line in lines
+        ],
+    )
+
+
+def _precision_cell(cell: Cell | None) -> Element:
+    if cell is None:
+        return element("td", "n/a", class_="faint")
+    return element(
+        "td",
+        cell.percent,
+        element("sup", str(cell.rank)) if cell.rank else None,
+        element("small", f"{cell.correct}/{cell.total}"),
+        class_=f"rank{cell.rank}" if cell.rank else None,
+    )
+
+
+def up_axes(document: Document) -> Iterator[Element]:
+    """Per data set where up axes point: the truth once, and the estimates of every run."""
+    for title, runs, _ in groups(document):
+        known = [run for run in runs if run["up_axes"]]
+        true = next((run["up_axes"]["truth"] for run in known if run["up_axes"]["truth"]), None)
+        discs = [disc(true, "truth", estimate=False)] if true else []
+        discs += [
+            disc(run["up_axes"]["estimate"], run["method"], estimate=True)
+            for run in known
+            if run["up_axes"]["estimate"]
+        ]
+        if discs:
+            yield element("h2", f"Up axes on {title}")
+            yield element("div", discs, class_="spheres")
+
+
+def overview(document: Document) -> Iterator[Element]:
+    """Methods on two data sets each."""
+    pairs, shown = dataset_pairs(document), methods(document)
+    if pairs:
+        yield element("h2", "Two data sets at a time", id="overview")
+    for index, pair in enumerate(pairs[:PAIRS]):
+        head = ["%", *(f"{name}, {label}" for label in document["thresholds"] for name in pair)]
+        known = [method for method in shown if {*pair} & method.precision.keys()]
+        lines = [
+            element(
+                "tr",
+                element("td", method.title),
+                [
+                    element("td", "n/a" if share is None else f"{100 * share:.1f}")
+                    for label in document["thresholds"]
+                    for share in (method.precision.get(name, {}).get(label) for name in pair)
+                ],
+                element("td", "-" if method.seconds is None else seconds_words(method.seconds)),
+                class_="paper" if method.paper else None,
+            )
+            for method in known
+        ]
+        yield element(
+            "details",
+            element("summary", f"{pair[0]} and {pair[1]}"),
+            element(
+                "div",
+                list(scatter_charts(known, pair, document["thresholds"])),
+                class_="charts",
+            ),
+            element(
+                "details",
+                element("summary", "The numbers"),
+                table([*head, "mean run time"], lines),
+            ),
+            open=index == 0,
+            class_="overview",
+        )
+    if len(pairs) > PAIRS:
+        rest = ", ".join(f"{a} and {b}" for a, b in pairs[PAIRS:])
+        yield element("p", f"Not drawn: {rest}", class_="faint")
+
+
+def run_times(document: Document) -> Iterator[Element]:
+    """What was measured, and the paper's times with their machine; neither is judged here."""
+    timed = [run for run in document["runs"] if run["speed"]]
+    if not timed:
+        return
+    yield element("h2", "Run time", id="run-time")
+    for run in timed:
+        first, *rest = speed_lines(run["speed"])
+        yield element("h3", run_name(run))
+        failed = run["speed"]["verdict"]["outcome"] == "failed"
+        yield element("p", first, class_="failed" if failed else None)
+        yield element("ul", [element("li", line) for line in rest])
+    printed: dict[str, Document] = {
+        method: entry["run_time"]
+        for entries in document["published"].values()
+        for method, entry in entries.items()
+        if entry["run_time"]
+    }
+    if printed:
+        machines = sorted({time["machine"] for time in printed.values()})
+        datasets = sorted({time["dataset"] for time in printed.values()})
+        yield element(
+            "p",
+            f"The paper prints, as means per prediction on {', '.join(datasets)} with"
+            f" {'; '.join(machines)} (another machine: to look at, not to judge by):",
+        )
+        yield table(
+            ["method", "mean run time"],
+            [
+                element(
+                    "tr",
+                    element("td", f"{method} (paper)"),
+                    element("td", seconds_words(time["mean_seconds"])),
+                    class_="paper",
+                )
+                for method, time in printed.items()
+            ],
+        )

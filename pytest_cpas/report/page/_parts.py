@@ -1,0 +1,64 @@
+"""What several sections of the page are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from urllib.parse import urlencode
+
+from pytest_cpas.report._html import Child, Element, element
+from pytest_cpas.report.document import Document
+from pytest_cpas.report.words import flip_words, outcome_words
+
+#: Flips that the page lists with their errors; the list of samples has all.
+_FLIPS = 50
+
+
+def badge(outcome: str) -> Element:
+    """An outcome, in its colour."""
+    return element("span", outcome_words(outcome), class_=f"badge {outcome}")
+
+
+def run_name(run: Document) -> str:
+    """What a run is called."""
+    return f"{run['method']} on {run['dataset']}"
+
+
+def table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = False) -> Element:
+    """A table that scrolls; ``text``: its cells are words rather than numbers."""
+    return element(
+        "div",
+        element(
+            "table",
+            element("thead", element("tr", [element("th", title) for title in head])),
+            element("tbody", list(lines)),
+            class_="text" if text else None,
+        ),
+        class_="scroll",
+    )
+
+
+def flip_table(flips: Sequence[Document]) -> Iterator[Element]:
+    """Flips with their errors before and after, and how many more there are."""
+    yield table(
+        ["sample", "category", "before", "now", "what changed"],
+        [
+            element(
+                "tr",
+                element("td", flip["sample"]),
+                element("td", flip["category"]),
+                element("td", flip["before"]),
+                element("td", flip["after"]),
+                element("td", flip_words(flip), class_="wrap"),
+            )
+            for flip in flips[:_FLIPS]
+        ],
+        text=True,
+    )
+    if len(flips) > _FLIPS:
+        yield element("p", f"and {len(flips) - _FLIPS} more", class_="faint")
+
+
+def sample_link(count: int, run: Document, verdict: str) -> Child:
+    """How many samples of a run have a verdict, as a link to the list of them."""
+    there = "#" + urlencode({"run": run_name(run), "verdict": verdict})
+    return [element("a", f"{count} {verdict}", href=there), " "]

@@ -1,0 +1,111 @@
+"""One run on the page: what is wrong with it, pictures, categories, conditions."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping, Sequence
+
+from pytest_cpas.report._html import Child, Element, element
+from pytest_cpas.report.document import Document
+from pytest_cpas.report.page._parts import badge, flip_table, run_name, table
+from pytest_cpas.report.tables import category_lines, percent
+from pytest_cpas.report.words import contract_words, troubles
+
+#: Runs of which the details are unfolded although nothing is wrong with them.
+_UNFOLDED = 2
+
+
+def run_details(
+    run: Document, index: int, document: Document, pictures: Mapping[str, bytes]
+) -> Element:
+    """Everything about a run, folded unless something is wrong with it."""
+    opened = run["outcome"] == "failed" or len(document["runs"]) <= _UNFOLDED
+    return element(
+        "details",
+        element("summary", f"{run_name(run)} ", badge(run["outcome"])),
+        list(_told(run)),
+        _gallery(run, pictures) if pictures else None,
+        element("h3", "Per category"),
+        _category_table(run, document["thresholds"]),
+        element("p", contract_words(run["contract"]), class_="faint"),
+        element("h3", "Conditions"),
+        table(
+            ["what", "value"],
+            [
+                element("tr", element("td", key), element("td", value, class_="wrap"))
+                for key, value in {**run["identity"], **run["provenance"]}.items()
+            ],
+            text=True,
+        ),
+        class_="run",
+        id=f"run-{index}",
+        open=opened,
+    )
+
+
+def _told(run: Document) -> Iterator[Element]:
+    """What is wrong, or missing."""
+    for title, lines in troubles(run):
+        yield element("h3", title)
+        yield element("pre", "\n".join(lines))
+    if run["flips"]:
+        yield element("h3", "Judged otherwise than by the golden table")
+        yield from flip_table(run["flips"])
+
+
+def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
+    samples = {sample["sample"]: sample for sample in run["samples"]}
+    figures = []
+    for name, content in pictures.items():
+        sample = samples[name]
+        if sample["position_m"] is None or sample["rotation_deg"] is None:
+            words = f"no answer: {sample['failure']}" if sample["failure"] else "no errors"
+        else:
+            words = f"{100 * sample['position_m']:.2f} cm, {sample['rotation_deg']:.1f} deg"
+            words += "" if sample["fscore_1cm"] is None else f", F {sample['fscore_1cm']:.2f}"
+        source = f"data:image/webp;base64,{base64.b64encode(content).decode()}"
+        figures.append(
+            element(
+                "figure",
+                element(
+                    "img", src=source, alt=f"boxes and surfaces in {name}", width=512, height=256
+                ),
+                element("figcaption", f"{sample['category']} {name}", element("small", words)),
+            )
+        )
+    return (
+        element("h3", f"Lost and worst samples ({len(figures)})"),
+        element(
+            "p",
+            "Boxes: ",
+            element("span", "truth", class_="truth"),
+            ", ",
+            element("span", "estimate", class_="estimate"),
+            "; lines from the middle of a box show its up axis and its right (+x). Beside it the"
+            " depth, seen from its right and from above: the object's points are bright, the true"
+            " surface and the estimated one have the colours of their boxes",
+        ),
+        element("div", figures, class_="gallery"),
+    )
+
+
+def _category_table(run: Document, thresholds: Sequence[str]) -> Element:
+    lines = []
+    for category, entries in category_lines(run):
+        cells = []
+        for entry in entries:
+            count = entry["measured"]
+            others = [
+                element("small", f"{kind} {percent(entry[kind])}")
+                for kind in ("golden", "published")
+                if entry[kind]
+            ]
+            if count is None:
+                cells.append(element("td", "n/a", others, class_="faint"))
+                continue
+            width = f"width:{100 * count['correct'] / count['total']:.1f}%"
+            bar = element("span", element("span", style=width), class_="bar")
+            fraction = f"{count['correct']}/{count['total']}"
+            cells.append(element("td", f"{fraction} {percent(count)}", bar, others))
+        lines.append(element("tr", element("td", category), cells))
+    return table(["correct at", *thresholds], lines)
