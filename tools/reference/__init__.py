@@ -9,12 +9,12 @@ and :func:`expand` puts them there. Nothing here needs mkdocs.
 
 import re
 
-from reference import checks, code, formats, metrics, options, registered, verdicts
+from reference import checks, code, files, metrics, options, registered, verdicts
 
 #: What can stand in a marker; further words of it are passed on as text.
 PARTS = {
     "api": code.api,
-    "columns": formats.columns,
+    "columns": files.columns,
     "commands": options.commands,
     "contract": checks.contract,
     "dataset-checks": checks.dataset_checks,
@@ -24,9 +24,9 @@ PARTS = {
     "definitions": metrics.definitions,
     "docstring": code.module_docstring,
     "exit-codes": verdicts.exit_codes,
-    "format": formats.format_number,
+    "format": files.format_number,
     "golden-words": verdicts.golden_words,
-    "head": formats.head,
+    "head": files.head,
     "ini": options.ini,
     "methods": registered.methods,
     "metric-functions": metrics.functions,
@@ -35,7 +35,8 @@ PARTS = {
     "metric-properties": checks.properties,
     "offers": checks.offers,
     "options": options.options,
-    "schema": formats.schema,
+    "readme": files.readme,
+    "schema": files.schema,
     "speed-words": verdicts.speed_words,
 }
 

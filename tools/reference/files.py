@@ -1,8 +1,9 @@
-"""File formats: examples that ship, and the schema of the report."""
+"""What files of the repository say: examples of formats, the schema of the report, the README."""
 
 import functools
 import importlib
 import json
+import re
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -18,6 +19,13 @@ def head(path: str, lines: str) -> str:
     with (ROOT / path).open(encoding="utf-8") as file:
         shown = "".join(islice(file, int(lines)))
     return block(shown + "...", path.rpartition(".")[2])
+
+
+def readme(*title: str) -> str:
+    """A section of the README, for a page in ``docs/``; ``KeyError`` if there is none."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    sections = dict(re.findall(r"^### (.+)\n((?:(?!^##).*\n)+)", text, re.MULTILINE))
+    return sections[" ".join(title)].replace("](docs/", "](").strip()
 
 
 def format_number(module: str) -> str:
