@@ -1,5 +1,6 @@
 """The documentation says what the code does: options, metrics, checks, verdicts, examples."""
 
+import ast
 import importlib.metadata
 import itertools
 import json
@@ -185,6 +186,14 @@ def test_the_written_lists_of_checks_are_complete():
     offered = re.findall(r"`(\w+)`", " ".join(column(conformance, "metric")))
     assert offered == list(KNOWN)
     assert f"against {len(PROPERTIES)} properties" in conformance
+
+
+@pytest.mark.parametrize("name", ["reference/api.md", "reference/metrics.md"])
+def test_signatures_are_python(name):
+    calls = [body for body in blocks(text(name), "python") if re.match(r"\w+\(", body)]
+    assert len(calls) > 15
+    for call in calls:
+        ast.parse(f"def {call.strip()}: ...")
 
 
 @pytest.mark.parametrize("kind", ["methods", "datasets", "metrics"])

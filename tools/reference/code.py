@@ -131,6 +131,7 @@ def documented(full_name: str, thing: Any) -> str:
         parts.append(block(_signature(name, thing), "python"))
     parts.append(prose(thing.__doc__ or ""))
     if inspect.isclass(thing):
+        parts.append(prose(getattr(vars(thing).get("__init__"), "__doc__", None) or ""))
         parts += _members(thing)
     return "\n\n".join(filter(None, parts))
 
@@ -152,22 +153,37 @@ def _is_made_by_users(cls: type) -> bool:
     return not issubclass(cls, kinds) and not getattr(cls, "_is_protocol", False)
 
 
-def _signature(name: str, thing: Any) -> str:
+class _Annotation(str):
+    """An annotation, which is text already: all modules import them from __future__."""
+
+    __repr__ = str.__str__
+
+
+def _signature(name: str, thing: Any, skipped: int = 0) -> str:
+    """The call, without the first ``skipped`` parameters; over several lines if it is long."""
     signature = inspect.signature(thing)
-    if inspect.isclass(thing):
-        signature = signature.replace(return_annotation=inspect.Signature.empty)
-    parameters = [
-        p.replace(default=...) if " at 0x" in repr(p.default) else p
-        for p in signature.parameters.values()
-    ]
-    signature = signature.replace(parameters=parameters)
-    # annotations are text, as all modules import them from __future__
-    text = re.sub(r"'([^']*)'", r"\1", f"{name}{signature}")
+    parameters = list(signature.parameters.values())[skipped:]
+    returned = inspect.Signature.empty if inspect.isclass(thing) else signature.return_annotation
+    signature = signature.replace(
+        parameters=[p.replace(annotation=_text(p.annotation)) for p in map(_shown, parameters)],
+        return_annotation=_text(returned),
+    )
+    text = f"{name}{signature}"
     if len(text) <= 88 or not parameters:
         return text
     start, end = text.index("("), text.rindex(")")
     inner = _split(text[start + 1 : end])
     return "\n".join([text[: start + 1], *(f"    {each}," for each in inner), text[end:]])
+
+
+def _shown(parameter: inspect.Parameter) -> inspect.Parameter:
+    """With a default that can be read: functions and factories have an address, or no name."""
+    nameless = parameter.default is not parameter.empty and "<" in repr(parameter.default)
+    return parameter.replace(default=...) if nameless else parameter
+
+
+def _text(annotation: Any) -> Any:
+    return _Annotation(annotation) if isinstance(annotation, str) else annotation
 
 
 def _split(text: str) -> list[str]:
@@ -192,10 +208,8 @@ def _members(cls: type) -> list[str]:
         function = getattr(function, "func", function)  # a cached_property
         if name.startswith("_") or not inspect.isroutine(function) or not function.__doc__:
             continue
-        is_property = not inspect.isroutine(member)
-        call = name if is_property else _signature(name, function).replace("(self, ", "(")
-        call = re.sub(r"\(self\)|\(cls\)", "()", call).replace("(cls, ", "(")
-        call = re.sub(r"\(\n    (self|cls),", "(", call)
+        bound = not isinstance(member, staticmethod)
+        call = _signature(name, function, skipped=bound) if inspect.isroutine(member) else name
         told = textwrap.indent(prose(function.__doc__), "    ")
         parts.append(f"*   `{' '.join(call.split())}`\n\n{told}")
     return parts
