@@ -23,6 +23,7 @@ from tables import GOLDEN, REFS, Fixed, a_run, rows
 import pytest_cpas.report
 from pytest_cpas.cli import main
 from pytest_cpas.comparison import Verdict, Word, compare
+from pytest_cpas.datasets.nocs import Real275
 from pytest_cpas.estimates import encode_estimate, encode_shape
 from pytest_cpas.evaluation import MethodRun, Row, Run
 from pytest_cpas.golden import RunTable, shipped_golden
@@ -595,6 +596,23 @@ def test_page_of_two_hundred_pictures_is_below_ten_megabytes(monkeypatch):
     text = page(document(told, 0), drawn)
     assert text.count("data:image/webp") == 192
     assert len(text.encode()) < 10e6
+
+
+def test_pictures_of_real_images_are_small_enough(test_data):
+    """Two hundred like those of a frame of REAL275, in base64."""
+    data = Real275(test_data / "real275")
+    sizes = []
+    for ref in data.samples:
+        if not ref.id.startswith("scene_1/0000/"):
+            continue
+        sample = data.load(ref)
+        true = sample.truth
+        moved = true.pose.translation + np.array([0.01, 0.02, 0.03])
+        estimate = encode_estimate(Hypothesis(true.pose.rotation, moved, true.extents))
+        shape = None if true.surface is None else encode_shape(true.surface)
+        sizes.append(len(draw(sample, estimate, shape)))
+    assert len(sizes) == 5
+    assert 200 * np.mean(sizes) * 4 / 3 < 8e6
 
 
 def test_interrupted_run_shows_what_there_is(cpas, pytester):

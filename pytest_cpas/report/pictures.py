@@ -27,7 +27,7 @@ from pytest_cpas.types import Array, Camera, ContractError, Sample
 COUNT, TOTAL = 24, 200
 
 #: The side of a panel, pixels, and its quality: as JPEG, dots would take three times as much.
-_SIDE, _QUALITY = 256, 85
+_SIDE, _QUALITY = 256, 75
 
 #: What is shown around the object, as a share of its size.
 _AROUND = 0.35

@@ -60,7 +60,7 @@ def reconstruction(
     inside[top:bottom, left:right] = True
     mask, back_project = observation.mask, observation.camera.back_project
     clouds = [
-        (back_project(observation.depth, inside & ~mask), _AROUND, 1),
+        (back_project(observation.depth, inside & ~mask), _AROUND, _SMALL),
         (back_project(observation.depth, mask), _OBJECT, _SMALL),
     ]
     radius = float(np.linalg.norm(truth.extents)) / 2
