@@ -76,6 +76,7 @@ class CpasSession(SuiteSession):
         self.others = _other_runs(config, self.runs)
         self.progress = watch(config, self.runs, self.rows)
         self._broken = 0
+        self._report: Path | None = None
 
     def stage(self, run: Run) -> Stage | None:
         """The contract of a run's method, if it is checked."""
@@ -194,7 +195,6 @@ class CpasSession(SuiteSession):
             findings=findings,
             golden=golden,
             speed=self.speed.get(run),
-            up_axes=up_axes(run, self._ordered(run)) if self.config.option.cpas_report else None,
             # a large run has too many samples to list them for nobody
             samples=bool(self.config.option.cpas_report)
             or shows_samples(self.config, len(table.samples)),
@@ -204,10 +204,14 @@ class CpasSession(SuiteSession):
         try:
             from pytest_cpas.report.pictures import pictures  # Pillow, for a report only
 
+            for run, told in zip(self.runs, self.documents, strict=True):
+                told["up_axes"] = up_axes(run, self._ordered(run))
             content = document(self.documents, session.testsfailed)
             if self.others:
                 content["against"] = against(content["runs"], self.others)
-            write_report(content, folder, pictures(self.runs, self.rows, self.documents))
+            drawn = pictures(self.runs, self.rows, self.documents, content.get("against"))
+            write_report(content, folder, drawn)
+            self._report = folder / "report.html"
         except OSError as error:
             message = f"{folder}: the report cannot be written ({error})"
             report_outcome(session, "cpas::report", "failed", message)
@@ -250,6 +254,8 @@ class CpasSession(SuiteSession):
                 continue  # a point of the curves below
             print_run(terminalreporter, run)
         print_curves(terminalreporter, documents)
+        if self._report:
+            terminalreporter.write_line(f"report: {self._report}")
         if self.update:
             known = {run.method for run in self.runs} | {
                 entry.name for entry in registry.registered("method")

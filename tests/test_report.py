@@ -133,6 +133,7 @@ def test_numbers_are_those_of_the_rows(report, pytester, method):
         assert re.search(rf"^{cell['category']} .*{told} +{share}", result.stdout.str(), re.M)
         assert f"{told} {share}" in text
     assert (content["outcome"] == "failed") == (result.ret == 1)
+    result.stdout.fnmatch_lines([f"report: {pytester.path / 'out' / 'report.html'}"])
 
 
 def test_planted_wrong_numbers_are_seen(report, pytester):
@@ -306,6 +307,7 @@ def test_report_that_cannot_be_written_fails_the_run(recorded, pytester):
     result = recorded("Perfect", "--cpas-report=out")
     assert result.ret == 1
     result.stdout.fnmatch_lines(["*out: the report cannot be written*"])
+    result.stdout.no_fnmatch_line("report: *")
 
 
 class Page(HTMLParser):
@@ -596,6 +598,25 @@ def test_page_of_two_hundred_pictures_is_below_ten_megabytes(monkeypatch):
     text = page(document(told, 0), drawn)
     assert text.count("data:image/webp") == 192
     assert len(text.encode()) < 10e6
+
+
+def test_flipped_samples_are_drawn_before_the_worst(monkeypatch):
+    """Lost ones first, also those that were lost since another run; gained ones too."""
+    monkeypatch.setattr("pytest_cpas.report.pictures.draw", lambda *given: b"")
+    run = MethodRun(tiny.Biased(), tiny.Tiny(None))
+    judged = {ref.id: run.judge(ref) for ref in run.samples}
+    ids = [ref.id for ref in run.samples]
+    told = a_told(run, list(judged.values()))
+    told["flips"] = [
+        {"sample": ids[0], "lost": [], "gained": ["x"]},
+        {"sample": ids[2], "lost": ["x"], "gained": []},
+    ]
+    since = [{"sample": ids[4], "lost": ["x"], "gained": []}]
+    pair = {"method": run.method, "dataset": run.dataset, "flips": since}
+    (drawn,) = pictures([run], {run: judged}, [told], {"pairs": [pair]}).values()
+    mugs = [name for name in ids if judged[name].category == "mug"]
+    assert list(drawn)[:3] == [ids[2], ids[4], ids[0]]
+    assert sorted(list(drawn)[3:]) == mugs
 
 
 def test_pictures_of_real_images_are_small_enough(test_data):

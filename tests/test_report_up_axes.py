@@ -125,9 +125,8 @@ def test_page_shows_the_truth_once_and_every_estimate():
             contract=[],
             findings=[],
             golden=None,
-            up_axes=axes,
         )
-        | {"method": name}
+        | {"method": name, "up_axes": axes}
         for name in ("a", "</script><b>", "c")
     ]
     content = document(told, 0)

@@ -73,14 +73,13 @@ def run_document(
     findings: Sequence[Finding],
     golden: RunTable | None,
     speed: Document | None = None,
-    up_axes: Document | None = None,
     samples: bool = True,
 ) -> Document:
     """The document of one run.
 
     ``new``: its table; ``errors``: why samples have no row; ``golden``: the recorded table, shown
     beside it if it was made under the same conditions; ``speed``: what :mod:`pytest_cpas.timing`
-    measured; ``up_axes``: as of :func:`.up_axes.up_axes`; ``samples``: whether they are listed.
+    measured; ``samples``: whether they are listed.
     """
     if golden is not None and differences(golden.identity, new.identity):
         golden = None
@@ -134,7 +133,7 @@ def run_document(
         ],
         "samples": _samples(run, new, old, errors) if samples else [],
         "speed": speed,
-        "up_axes": up_axes,
+        "up_axes": None,  # :mod:`pytest_cpas.report.up_axes`, for a report only
         "identity": dict(run.identity),
         "provenance": dict(run.provenance),
     }

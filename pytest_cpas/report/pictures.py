@@ -1,4 +1,4 @@
-"""Pictures of lost and bad samples: boxes in the colour image, and the shape over the depth."""
+"""Pictures of flipped and bad samples: boxes in the colour image, and the shape over the depth."""
 
 from __future__ import annotations
 
@@ -53,12 +53,15 @@ _LINES = [
 
 
 def pictures(
-    runs: Sequence[Run], rows: Mapping[Run, Mapping[str, Row]], told: Sequence[Document]
+    runs: Sequence[Run],
+    rows: Mapping[Run, Mapping[str, Row]],
+    told: Sequence[Document],
+    against: Document | None = None,
 ) -> dict[tuple[str, str], dict[str, bytes]]:
-    """WebP pictures by method and data set: of lost samples, then of the worst, by sample.
+    """WebP pictures by method and data set: of lost and gained samples, then of the worst.
 
-    ``told``: the documents of the runs. Runs without images have none, and neither have perturbed
-    data sets nor samples that cannot be read again.
+    ``told``: the documents of the runs; ``against``: their comparison with others. Runs without
+    images have none, and neither have perturbed data sets nor samples that cannot be read again.
     """
     shown = [
         (run, content)
@@ -66,10 +69,15 @@ def pictures(
         if isinstance(run, MethodRun) and not perturbation_of(run.dataset)
     ]
     count = min(COUNT, TOTAL // max(1, len(shown)))
-    return {
-        (run.method, run.dataset): _drawn(run, rows[run], _chosen(content)[:count])
-        for run, content in shown
+    since = {
+        (pair["method"], pair["dataset"]): pair["flips"]
+        for pair in (against or {"pairs": []})["pairs"]
     }
+    drawn = {}
+    for run, content in shown:
+        key = run.method, run.dataset
+        drawn[key] = _drawn(run, rows[run], _chosen(content, since.get(key, []))[:count])
+    return drawn
 
 
 def _drawn(run: MethodRun, rows: Mapping[str, Row], names: Sequence[str]) -> dict[str, bytes]:
@@ -83,11 +91,12 @@ def _drawn(run: MethodRun, rows: Mapping[str, Row], names: Sequence[str]) -> dic
     return drawn
 
 
-def _chosen(told: Document) -> list[str]:
-    lost = [flip["sample"] for flip in told["flips"] if flip["lost"]]
+def _chosen(told: Document, since: Sequence[Document]) -> list[str]:
+    """What was lost, also since another run, then what was gained, then what is worst."""
+    flips = sorted([*told["flips"], *since], key=lambda flip: not flip["lost"])
     wrong = [sample for sample in told["samples"] if "0" in (sample["outcome"] or "")]
     wrong.sort(key=lambda sample: (sample["outcome"].count("1"), -_size(sample)))
-    return list(dict.fromkeys([*lost, *(sample["sample"] for sample in wrong)]))
+    return list(dict.fromkeys(sample["sample"] for sample in (*flips, *wrong)))
 
 
 def _size(sample: Document) -> float:

@@ -9,7 +9,7 @@ from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.page._parts import badge, flip_table, run_name, table
 from pytest_cpas.report.tables import category_lines, percent
-from pytest_cpas.report.words import contract_words, troubles
+from pytest_cpas.report.words import contract_words, flip_words, troubles
 
 #: Runs of which the details are unfolded although nothing is wrong with them.
 _UNFOLDED = 2
@@ -55,6 +55,7 @@ def _told(run: Document) -> Iterator[Element]:
 
 def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
     samples = {sample["sample"]: sample for sample in run["samples"]}
+    flips = {flip["sample"]: flip_words(flip) for flip in run["flips"]}
     figures = []
     for name, content in pictures.items():
         sample = samples[name]
@@ -70,11 +71,16 @@ def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
                 element(
                     "img", src=source, alt=f"boxes and surfaces in {name}", width=512, height=256
                 ),
-                element("figcaption", f"{sample['category']} {name}", element("small", words)),
+                element(
+                    "figcaption",
+                    f"{sample['category']} {name}",
+                    element("small", words),
+                    element("small", flips[name]) if name in flips else None,
+                ),
             )
         )
     return (
-        element("h3", f"Lost and worst samples ({len(figures)})"),
+        element("h3", f"Lost, gained and worst samples ({len(figures)})"),
         element(
             "p",
             "Boxes: ",
