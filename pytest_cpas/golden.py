@@ -19,7 +19,7 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -344,8 +344,11 @@ def _read(folder: Path) -> RunTable:
     named = re.search(r'^samples_sha256 = "(\w+)"$', toml, re.MULTILINE)
     waiting = _waiting(folder, named[1] if named else "")
     path = waiting if waiting.exists() else folder / "samples.csv"
-    samples = path.read_bytes().decode("utf-8")
-    return parse_golden(folder.parent.name, folder.name, toml, samples)
+    with path.open("rb") as samples_csv:  # which can be large
+        digest = hashlib.file_digest(samples_csv, "sha256").hexdigest()
+        samples_csv.seek(0)
+        lines = io.TextIOWrapper(samples_csv, encoding="utf-8", newline="")
+        return _parse(folder.parent.name, folder.name, toml, lines, digest)
 
 
 def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunTable:
@@ -353,6 +356,13 @@ def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunT
 
     Raises :class:`GoldenError` if they are not, or do not belong together.
     """
+    lines = io.StringIO(samples_csv, newline="")
+    return _parse(method, dataset, toml, lines, _digest(samples_csv))
+
+
+def _parse(
+    method: str, dataset: str, toml: str, samples_csv: Iterable[str], digest: str
+) -> RunTable:
     try:
         content: dict[str, Any] = tomllib.loads(toml)
     except tomllib.TOMLDecodeError as error:
@@ -367,9 +377,9 @@ def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunT
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
             raise GoldenError("table.toml: [identity], [provenance], [cells] must hold strings")
     identity, provenance, cells = sections
-    if content.get("samples_sha256") != _digest(samples_csv):
+    if content.get("samples_sha256") != digest:
         raise GoldenError("samples.csv is not the file that table.toml was made with")
-    lines = csv.reader(_lines(samples_csv))
+    lines = csv.reader(samples_csv)
     if tuple(next(lines, ())) != _COLUMNS:
         raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
     try:
@@ -385,16 +395,6 @@ def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunT
     if [f"{_quoted(k)} = {_quoted(v)}" for k, v in cells.items()] != _cell_lines(table.table):
         raise GoldenError("the cells of table.toml are not the sums of samples.csv")
     return table
-
-
-def _lines(text: str) -> Iterator[str]:
-    """The lines with their ends. (StringIO would hold a large text four times as large.)"""
-    start = 0
-    while end := text.find("\n", start) + 1:
-        yield text[start:end]
-        start = end
-    if start < len(text):
-        yield text[start:]
 
 
 def _sample(line: Sequence[str]) -> TableSample:

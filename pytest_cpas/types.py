@@ -14,6 +14,7 @@ expected and what to look for in an adapter.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -402,6 +403,11 @@ class SampleRef:
     category: str
     scene: str
     model: str = ""
+
+    def __post_init__(self) -> None:
+        # a few different ones only, however many samples: one object each
+        for name in ("category", "scene", "model"):
+            object.__setattr__(self, name, sys.intern(str(getattr(self, name))))
 
 
 @dataclass(frozen=True, eq=False)
