@@ -135,9 +135,10 @@ def docs_figures(session: nox.Session) -> None:
 
 @nox.session
 def browser(session: nox.Session) -> None:
-    """The page of a report in headless Chromium, which must be installed; ``-- -k looks``."""
+    """A report and the site of ``docs`` in Chromium, which must be installed; ``-- -k looks``."""
     install(session, "-e", ".", "--group", "test")
-    session.run("pytest", "tests/browser_report.py", *session.posargs, env=os.environ | ENV)
+    pages = ("tests/browser_report.py", "tests/browser_site.py")
+    session.run("pytest", *pages, *session.posargs, env=os.environ | ENV)
 
 
 @nox.session
