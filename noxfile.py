@@ -165,3 +165,10 @@ def stress(session: nox.Session) -> None:
     """Kill 50 runs at random moments; each is resumed and ends with the same table."""
     install(session, "-e", ".[xdist]")
     session.run("python", "tests/stress_kills.py", *session.posargs, env=ENV)
+
+
+@nox.session
+def stress_timing(session: nox.Session) -> None:
+    """Find a planted slow-down of 30 %, and none where there is none, on a busy machine."""
+    install(session, "-e", ".")
+    session.run("python", "tests/stress_timing.py", *session.posargs, env=ENV)

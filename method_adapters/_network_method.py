@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from method_adapters._assets import require_torch
 from method_adapters._crop import NoAnswerError
+from pytest_cpas.stages import stage
 from pytest_cpas.types import Hypothesis, MethodInfo, Observation, Prediction
 
 if TYPE_CHECKING:
@@ -70,21 +71,25 @@ class NetworkMethod(ABC, Generic[InputsT]):
         predictions: dict[int, Prediction] = {}
         inputs: dict[int, InputsT] = {}
         alike: dict[tuple[Any, ...], list[int]] = defaultdict(list)
-        for i, observation in enumerate(batch):
-            try:
-                inputs[i] = self.prepare(observation, generators[i])
-                alike[tuple(part.shape for part in inputs[i])].append(i)
-            except NoAnswerError as error:
-                predictions[i] = Prediction.failed(str(error))
-        for group in alike.values():
-            stacked = [np.stack(part) for part in zip(*(inputs[i] for i in group), strict=True)]
-            outputs = self._run(*stacked)
-            for row, i in enumerate(group):
+        with stage("pre-processing"):
+            for i, observation in enumerate(batch):
                 try:
-                    found = self.interpret(inputs[i], tuple(x[row] for x in outputs), generators[i])
-                    predictions[i] = Prediction((found,))
+                    inputs[i] = self.prepare(observation, generators[i])
+                    alike[tuple(part.shape for part in inputs[i])].append(i)
                 except NoAnswerError as error:
                     predictions[i] = Prediction.failed(str(error))
+        for group in alike.values():
+            with stage("network"):
+                stacked = [np.stack(part) for part in zip(*(inputs[i] for i in group), strict=True)]
+                outputs = self._run(*stacked)
+            with stage("post-processing"):
+                for row, i in enumerate(group):
+                    output = tuple(x[row] for x in outputs)
+                    try:
+                        found = self.interpret(inputs[i], output, generators[i])
+                        predictions[i] = Prediction((found,))
+                    except NoAnswerError as error:
+                        predictions[i] = Prediction.failed(str(error))
         return [predictions[i] for i in range(len(batch))]
 
     def category_index(self, observation: Observation) -> int:

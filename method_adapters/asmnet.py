@@ -20,6 +20,7 @@ from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
 from method_adapters._declaration import port_info
 from method_adapters._shape_model import COMPONENTS, ShapeModel, read_shape_model
 from pytest_cpas._open3d import import_open3d
+from pytest_cpas.stages import stage
 from pytest_cpas.types import (
     CATEGORIES,
     Asset,
@@ -95,9 +96,13 @@ class AsmNet:
 
     def _predict(self, observation: Observation, seed: int) -> Prediction:
         try:
-            inputs = self.prepare(observation, np.random.default_rng(seed))
-            shape, quaternion = self._run[observation.category](inputs.points[None])
-            found = interpret(inputs, self._models[observation.category], shape[0], quaternion[0])
+            with stage("pre-processing"):
+                inputs = self.prepare(observation, np.random.default_rng(seed))
+            with stage("network"):
+                shape, quaternion = self._run[observation.category](inputs.points[None])
+            model = self._models[observation.category]
+            with stage("post-processing"):
+                found = interpret(inputs, model, shape[0], quaternion[0])
         except NoAnswerError as error:
             return Prediction.failed(str(error))
         return Prediction((found,))

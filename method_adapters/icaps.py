@@ -20,6 +20,7 @@ from method_adapters._declaration import port_info
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._particle_filter import Belief, View, first_belief, next_belief
 from pytest_cpas.frames import NOCS_FROM_SHAPENET
+from pytest_cpas.stages import stage
 from pytest_cpas.types import (
     CATEGORIES,
     Asset,
@@ -138,17 +139,23 @@ class ICaps:
     ) -> Track:
         from method_adapters._networks.icaps_refinement import distance_grid, spread
 
-        view = View.of(observation)
         matcher, refiner = self._category(observation.category)
+        with stage("pre-processing"):
+            view = View.of(observation)
+            points = spread(view.cloud, generator)
         rotations = matcher.codebook.quaternions
-        points = spread(view.cloud, generator)
         if last is None:
-            belief = first_belief(view, matcher, rotations, generator)
-            placed, shape = refiner(points, _placed(belief))
-            mesh = level_set(distance_grid(shape), 0, half_width=placed.unit, closed=False)
+            with stage("particle filter"):
+                belief = first_belief(view, matcher, rotations, generator)
+            with stage("refinement"):
+                placed, shape = refiner(points, _placed(belief))
+            with stage("post-processing"):
+                mesh = level_set(distance_grid(shape), 0, half_width=placed.unit, closed=False)
         else:
-            belief = next_belief(view, last.belief, matcher, rotations, generator)
-            placed = refiner.follow(points, _placed(belief), last.shape)
+            with stage("particle filter"):
+                belief = next_belief(view, last.belief, matcher, rotations, generator)
+            with stage("refinement"):
+                placed = refiner.follow(points, _placed(belief), last.shape)
             shape, mesh = last.shape, last.mesh
         belief = belief.corrected(view, placed.rotation @ NOCS_FROM_SHAPENET.T, placed.translation)
         return Track(belief, placed, shape, mesh)

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from method_adapters._icp_evidence import Evidence, TooLittleEvidenceError
 from method_adapters._icp_prior import Prior
+from pytest_cpas import stages
 from pytest_cpas.types import (
     CATEGORIES,
     Hypothesis,
@@ -92,11 +93,13 @@ class Icp:
 
     def _fit(self, observation: Observation, seed: int) -> Prediction:
         try:
-            evidence = Evidence.of(observation, np.random.default_rng(seed))
+            with stages.stage("pre-processing"):
+                evidence = Evidence.of(observation, np.random.default_rng(seed))
         except TooLittleEvidenceError as error:
             return Prediction.failed(str(error))
         prior = Prior.of(observation.category)
-        best = fit(prior, evidence)
+        with stages.stage("fit"):
+            best = fit(prior, evidence)
         scale = np.exp(best.log_scale[0])
         points = prior.points[best.variant[0]] * scale
         # centred on its own box to rounding, whatever the asset was rounded to

@@ -22,6 +22,7 @@ from method_adapters._sdfest_configuration import Configuration, read_configurat
 from method_adapters._so3_grid import rotation_grid
 from pytest_cpas.frames import OPENCV_FROM_OPENGL
 from pytest_cpas.metrics import sample_surface
+from pytest_cpas.stages import stage
 from pytest_cpas.types import (
     Array,
     Asset,
@@ -164,12 +165,16 @@ class Sdfest:
             known = ", ".join(self.info.categories)
             raise NoAnswerError(f"category {category!r}: {self.info.name} knows {known}")
         model = self._models[category]
-        taken = [self._view(seen, camera) for seen, camera in views]
+        with stage("pre-processing"):
+            taken = [self._view(seen, camera) for seen, camera in views]
         with full_precision():
-            first = first_estimate(model.init, model.grid, taken[0])
-            found = refine(model.vae, first, taken, self.iterations, self.gradient)
-            mesh = reconstruct(model.vae, found)
-        return interpret(found, mesh, model.axes, seed)
+            with stage("network"):
+                first = first_estimate(model.init, model.grid, taken[0])
+            with stage("refinement"):
+                found = refine(model.vae, first, taken, self.iterations, self.gradient)
+            with stage("post-processing"):
+                mesh = reconstruct(model.vae, found)
+                return interpret(found, mesh, model.axes, seed)
 
     def _view(self, seen: Observation, camera: Pose) -> View:
         from torch import as_tensor

@@ -6,7 +6,6 @@ that the field uses are pre-processing, network and post-processing; any other w
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
@@ -14,11 +13,12 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 class StageClock:
     """Adds up the ``seconds`` of every stage while it listens.
 
-    ``synchronise`` waits for what the device still computes; it is called on both sides of a stage.
-    A stage within a stage counts as a part of the outer one.
+    ``now`` is the clock, in seconds. ``synchronise`` waits for what the device still computes; it
+    is called on both sides of a stage. A stage within a stage counts as a part of the outer one.
     """
 
-    def __init__(self, synchronise: Callable[[], None]) -> None:
+    def __init__(self, now: Callable[[], float], synchronise: Callable[[], None]) -> None:
+        self._now = now
         self.seconds: dict[str, float] = {}
         self._synchronise = synchronise
         self._inside = False
@@ -43,12 +43,12 @@ class StageClock:
             return
         self._inside = True
         self._synchronise()
-        start = time.perf_counter()
+        start = self._now()
         try:
             yield
         finally:
             self._synchronise()
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            self.seconds[name] = self.seconds.get(name, 0.0) + self._now() - start
             self._inside = False
 
 

@@ -663,6 +663,7 @@ def test_speed_is_told_beside_the_paper():
         "stages": [{"name": "network", "seconds": 0.0002, "share": 0.8}],
         "memory": {"host_bytes": 2**30, "host_source": "predictions", "device_bytes": 2**20},
         "machine": {
+            "clock": "wall clock",
             "cpu": "A CPU",
             "cores": 2,
             "system": "Linux",

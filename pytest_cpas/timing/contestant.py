@@ -22,6 +22,33 @@ from typing import IO, Any
 PREDICTIONS, PROCESS = "predictions", "process"
 
 
+#: Linux tells here how long a thread was ready to run while its core had other work.
+SCHEDSTAT = Path("/proc/thread-self/schedstat")
+
+#: What :func:`now` is, in the document.
+CLOCKS = ("wall clock", "wall clock without waiting for a core")
+
+
+def now() -> float:
+    """Seconds of a clock that stands still while this thread waits for a core that others have.
+
+    On a busy machine this is most of the noise. Sleeping, reading and waiting for a device or for
+    threads of one's own count. Where the system does not tell, it is the wall clock.
+    """
+    while True:
+        waited = _waited()
+        instant = time.perf_counter()
+        if _waited() == waited:  # else some of it may lie before the instant, and some behind
+            return instant - waited
+
+
+def _waited() -> float:
+    try:
+        return int(SCHEDSTAT.read_bytes().split()[1]) / 1e9
+    except OSError:
+        return 0.0
+
+
 def synchroniser(device: str) -> Callable[[], None]:
     """What waits for all that ``device`` still computes: nothing, unless it is one of CUDA."""
     torch = sys.modules.get("torch")
@@ -39,10 +66,10 @@ def seconds_of(call: Callable[[], object], synchronise: Callable[[], None]) -> f
     gc.disable()
     try:
         synchronise()
-        start = time.perf_counter()
+        start = now()
         call()
         synchronise()
-        return time.perf_counter() - start
+        return now() - start
     finally:
         if collects:
             gc.enable()
@@ -55,14 +82,23 @@ class Contestant:
         self._method, self._observations = method, observations
         self._seed, self._device = seed, device
         self._synchronise = synchroniser(device)
-        self._repetitions = 1
+        self._repetitions, self._settled = 1, False
 
-    def repeat(self, repetitions: int) -> None:
-        """From now on, a prediction is timed as the mean of so many."""
-        self._repetitions = repetitions
+    def settle(self, repetitions: int) -> None:
+        """After the warm-up: what is held now is no garbage, until :meth:`close`; and from now on,
+        a prediction is timed as the mean of so many."""
+        gc.collect()
+        gc.freeze()
+        self._repetitions, self._settled = repetitions, True
+
+    def close(self) -> None:
+        """Undo what :meth:`settle` did to this process."""
+        gc.unfreeze()
 
     def run(self, index: int) -> float:
         """Seconds of one prediction, for the ``index``-th observation."""
+        if self._settled:  # else it would go through all that the process holds
+            gc.collect()
         return self.timed(lambda: self._predict(index)) / self._repetitions
 
     def timed(self, call: Callable[[], object]) -> float:
@@ -78,7 +114,7 @@ class Contestant:
         of their ``stages``, and the peak of ``memory``."""
         from pytest_cpas.stages import StageClock
 
-        clock = StageClock(self._synchronise)
+        clock = StageClock(now, self._synchronise)
         memory = PeakMemory(self._device)
         with clock.listening():
             seconds = [self.run(index) for index in range(len(self._observations))]
@@ -90,8 +126,8 @@ class Contestant:
         }
 
     def facts(self) -> dict[str, Any]:
-        """The ``device``'s name, and ``threads`` and ``versions`` of the libraries in this
-        process."""
+        """The ``clock``, the ``device``'s name, and ``threads`` and ``versions`` of the libraries
+        in this process."""
         from threadpoolctl import threadpool_info
 
         threads = {pool["internal_api"]: int(pool["num_threads"]) for pool in threadpool_info()}
@@ -105,7 +141,8 @@ class Contestant:
                 device = str(torch.cuda.get_device_name(device))
                 versions["cuda"] = str(torch.version.cuda)
                 versions |= _driver()
-        return {"device": device, "threads": threads, "versions": versions}
+        clock = CLOCKS[SCHEDSTAT.exists()]
+        return {"clock": clock, "device": device, "threads": threads, "versions": versions}
 
 
 def _driver() -> dict[str, str]:

@@ -15,7 +15,7 @@ from typing import Literal
 
 #: Quadruples (candidate, reference, reference, candidate) after which a run is looked at; the last
 #: number is the most that are timed.
-LOOKS = (12, 24, 48)
+LOOKS = (12, 24, 48, 96)
 
 #: Probability of a wrong verdict (SLOWER, NOT SLOWER or FASTER that is not true), over all looks.
 ERROR = 0.01

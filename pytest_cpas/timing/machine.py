@@ -15,6 +15,7 @@ def machine(facts: Mapping[str, Any]) -> dict[str, Any]:
     """As below ``machine`` in the schema of the report; ``facts`` as of
     :meth:`pytest_cpas.timing.contestant.Contestant.facts`."""
     return {
+        "clock": facts["clock"],
         "cpu": _cpu(),
         "cores": _cores(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",

@@ -7,8 +7,8 @@ round. What drifts, and who comes first, cancels in the geometric mean of a quad
 
 from __future__ import annotations
 
-import gc
 import math
+import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from itertools import pairwise
@@ -19,6 +19,9 @@ from pytest_cpas.types import ContractError, Sample, SampleRef
 
 #: Different samples that a run is timed with, about: as many of each category.
 SAMPLES = 12
+
+#: Seconds that rounds may take; the least that a verdict or a record needs are timed all the same.
+PATIENCE = 300.0
 
 
 class Timed(Protocol):
@@ -37,11 +40,10 @@ class Rounds:
         self.reference_seconds: list[float] = []
         self._candidate, self._reference = candidate, reference
         self._over = 0
+        self._start = time.monotonic()
 
     def setup(self) -> None:
         """What comes before the candidate."""
-        if self._over % 2 == 0:
-            gc.collect()
         if self._reference_first:
             self._time_reference()
 
@@ -73,6 +75,11 @@ class Rounds:
         return math.fsum(self.candidate_seconds)
 
     @property
+    def seconds(self) -> float:
+        """Seconds since these rounds were made."""
+        return time.monotonic() - self._start
+
+    @property
     def ratios(self) -> list[tuple[int, float]]:
         """Of each quadruple the sample, and the candidate's time over the reference's."""
         pairs = [
@@ -98,7 +105,7 @@ def time_rounds(
     benchmark: Any, rounds: Rounds, looks: Sequence[int], undecided: Callable[[Rounds], bool]
 ) -> None:
     """Time as many quadruples as the first of ``looks`` says, and up to each further one for as
-    long as they are ``undecided``.
+    long as they are ``undecided`` and it would not take longer than :data:`PATIENCE`.
 
     ``benchmark`` is pytest-benchmark's fixture, whose timer has to be :meth:`Rounds.elapsed`.
     """
@@ -107,7 +114,7 @@ def time_rounds(
         rounds.time_candidate, setup=rounds.setup, teardown=rounds.teardown, rounds=2 * first
     )
     for count in further:
-        if not undecided(rounds):
+        if rounds.seconds * count / len(rounds.ratios) > PATIENCE or not undecided(rounds):
             return
         while len(rounds.candidate_seconds) < 2 * count:
             rounds.setup()

@@ -110,6 +110,7 @@ def identity_of(run: Mapping[str, str], machine: Mapping[str, Any], kernel: str)
     return {
         **{key: run[key] for key in ("data", "seed", "device")},
         "kernel": kernel,
+        "clock": machine["clock"],
         "cpu": machine["cpu"],
         "cores": str(machine["cores"]),
         "device name": machine["device"],

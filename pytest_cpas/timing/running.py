@@ -32,7 +32,7 @@ Document = dict[str, Any]
 
 #: A round has so many predictions that it takes at least as many seconds; the calibration kernel
 #: is repeated until it takes as long as a round, up to the second number.
-SHORTEST, LONGEST = 0.05, 0.25
+SHORTEST, LONGEST = 0.02, 0.25
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,9 @@ class SpeedRun:
             identity = identity_of(self.run.identity, on, reference.name)
             path = record_path(plan.golden, self.run.method, self.run.dataset, on)
             if plan.update:
-                time_rounds(benchmark, rounds, LOOKS[-1:], lambda _: False)
+                # at least two quadruples per sample, and as many as there is time for
+                looks = [look for look in LOOKS if look >= 2 * len(samples)]
+                time_rounds(benchmark, rounds, looks, lambda _: True)
                 record = SpeedRecord.of(names, rounds.by_sample(), identity, provenance_of(on))
                 write_record(path, record)
                 verdict, slowdown = Verdict(Word.RECORDED, str(path), None), None
@@ -135,6 +137,7 @@ class SpeedRun:
         run, plan = self.run, self.plan
         if plan.rival is None:
             here = Contestant(run.loaded(), observations, run.seed, plan.device)
+            stack.callback(here.close)
             return here, Calibration(kernel_for(plan.device), here.timed)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pytest-cpas-")))
         file = folder / "observations.npz"
@@ -163,12 +166,12 @@ def _warm_up(candidate: Contestant | Worker, reference: Calibration | Worker, sa
     seconds = statistics.median(candidate.run(index) for index in range(samples))
     rival = statistics.median(reference.run(index) for index in range(samples))
     repetitions = max(1, round(SHORTEST / max(seconds, 1e-6)))
-    candidate.repeat(repetitions)
+    candidate.settle(repetitions)
     if isinstance(reference, Calibration):
         length = min(max(seconds, SHORTEST), LONGEST)
         reference.repeat(max(1, round(length / max(rival, 1e-6))))
     else:
-        reference.repeat(repetitions)
+        reference.settle(repetitions)
     return repetitions
 
 

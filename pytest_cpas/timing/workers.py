@@ -57,7 +57,7 @@ class Worker:
         self.name = name
         self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - see close
         self._process = subprocess.Popen(  # noqa: S603 - this Python, a file of ours
-            [sys.executable, contestant.__file__],
+            [sys.executable, "-P", contestant.__file__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._complaints,
@@ -82,9 +82,9 @@ class Worker:
         """Seconds of one prediction, taken in the worker."""
         return float(self._ask(call="run", arguments=[index]))
 
-    def repeat(self, repetitions: int) -> None:
-        """As :meth:`Contestant.repeat`."""
-        self._ask(call="repeat", arguments=[repetitions])
+    def settle(self, repetitions: int) -> None:
+        """As :meth:`Contestant.settle`."""
+        self._ask(call="settle", arguments=[repetitions])
 
     def examine(self) -> dict[str, Any]:
         """As :meth:`Contestant.examine`."""
