@@ -3,7 +3,6 @@
 import gc
 import json
 import math
-import os
 import shutil
 import subprocess
 import sys
@@ -649,7 +648,7 @@ def test_options_need_each_other(pytester, cpas):
     for option in ("--cpas-benchmark-fail=20%", "--cpas-benchmark-against=icp"):
         result = cpas("Perfect", option)
         assert result.ret == pytest.ExitCode.USAGE_ERROR
-        result.stderr.fnmatch_lines(["ERROR: *need --cpas-benchmark"])
+        result.stderr.fnmatch_lines(["ERROR: *does nothing without --cpas-benchmark*"])
     result = pytester.runpytest_inprocess(*RUN, "--cpas-benchmark")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["ERROR: --cpas-benchmark times methods, and there is none*"])
@@ -753,8 +752,6 @@ def test_a_slower_revision_is_caught(rivals, pytester):
     ],
 )
 def test_what_goes_wrong_in_a_worker_is_told(rivals, method, messages):
-    with pytest.raises(FileNotFoundError):  # no report of what never ran
-        os.stat("out")
     result = rivals("Revised", f"adapter:{method}")
     assert result.ret == 1
     result.stdout.fnmatch_lines([messages[-1]])

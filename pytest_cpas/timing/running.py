@@ -12,7 +12,7 @@ from typing import Any
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.published import published_time
 from pytest_cpas.timing.calibration import Calibration, kernel_for
-from pytest_cpas.timing.comparison import WithRecord, WithRival
+from pytest_cpas.timing.comparison import Comparison, WithRecord, WithRival
 from pytest_cpas.timing.contestant import Contestant, write_observations
 from pytest_cpas.timing.intervals import CONFIDENCE, LOOKS, Interval, median_interval
 from pytest_cpas.timing.machine import machine
@@ -110,7 +110,7 @@ class SpeedRun:
                 write_record(path, record)
                 verdict, slowdown = Verdict(Word.RECORDED, str(path), None), None
             else:
-                comparison: WithRival | WithRecord = (
+                comparison: Comparison = (
                     WithRival(reference.name, plan.limit)
                     if plan.rival
                     else WithRecord.of(path, identity, names, plan.limit)
