@@ -560,6 +560,28 @@ def test_reconstruction_is_seen_from_the_right_and_from_above():
     assert middle(TRUTH_COLOUR) == pytest.approx([128, 128], abs=2)
 
 
+def test_nearer_surfaces_hide_further_ones():
+    """Two discs across the line of sight, the estimated one in front and then behind."""
+    a, b = math.radians(50), math.radians(25)
+    sight = np.array([-math.sin(a) * math.cos(b), math.sin(b), math.cos(a) * math.cos(b)])
+    across = np.cross(sight, [0, 1, 0])
+    across /= np.linalg.norm(across)
+    spots = np.random.default_rng(0).uniform(-0.03, 0.03, (4000, 2, 1))
+    plate = spots[:, 0] * across + spots[:, 1] * np.cross(sight, across)
+    sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
+    blind = replace(sample.observation, depth=np.zeros((160, 200), np.float32))
+    sample = replace(
+        sample, observation=blind, truth=replace(sample.truth, surface=plate.astype(float))
+    )
+
+    def orange(shift):
+        moved = encode_estimate(Hypothesis(np.eye(3), [0, 0, 1.0] + shift * sight, [0.1] * 3))
+        _, image = panels(draw(sample, moved, encode_shape(plate)))
+        return int((image[:, :, 0] > image[:, :, 2] + 60).sum())
+
+    assert orange(-0.05) > 5 * orange(0.05)
+
+
 @pytest.mark.parametrize("surface", [None, np.zeros((1, 3))])
 def test_reconstruction_without_depth_or_shapes(surface):
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
