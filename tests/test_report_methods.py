@@ -11,6 +11,8 @@ from tables import Fixed
 import pytest_cpas.report
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
+from pytest_cpas.report.curves import charts as curve_charts
+from pytest_cpas.report.curves import curve_lines
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.page import page
 from pytest_cpas.report.scatter import charts, colour, dataset_pairs, methods
@@ -121,6 +123,29 @@ def test_dots_stand_where_the_published_counts_say():
     assert "mine: 30.0 % on real275, 12.0 % on redwood75, 500 ms each" in words
     names = [text.text for text in chart.iter("text") if text.get("class") == "name"]
     assert sorted(names) == sorted([*across, "mine"])
+
+
+@pytest.mark.parametrize("dataset", ["real275", "redwood75"])
+def test_every_published_curve_is_drawn_and_monotone(dataset):
+    """Nine lines in each chart, every point where its count says, and never the wrong way."""
+    content = report(told("mine", dataset, 30))
+    ((_, runs, paper),) = groups(content)
+    *figures, _ = curve_charts(curve_lines(paper, runs))
+    kinds = ("position_m", "rotation_deg", "fscore_1cm")
+    for kind, figure in zip(kinds, figures, strict=True):
+        heights = sorted({float(x.get("y1")) for x in figure.iter("line") if x.get("y2")})
+        top, bottom = heights[0], heights[-1]
+        lines = {x.findtext("title"): x.get("points").split() for x in figure.iter("polyline")}
+        assert len(lines) == 9 + 1
+        for name in paper:
+            ys = [float(point.partition(",")[2]) for point in lines[f"{name} (paper)"]]
+            shares = [
+                int(x["correct"]) / int(x["total"])
+                for x in published("curves.csv")
+                if (x["dataset"], x["method"], x["threshold_on"]) == (dataset, name, kind)
+            ]
+            assert ys == pytest.approx([bottom + (top - bottom) * p for p in shares], abs=0.06)
+            assert ys == sorted(ys, reverse=kind != "fscore_1cm")
 
 
 def test_a_method_of_one_data_set_is_a_tick_at_its_axis():
