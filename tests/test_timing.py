@@ -31,10 +31,11 @@ from pytest_cpas.timing.intervals import (
     quotient,
     relative_to_others,
 )
-from pytest_cpas.timing.measuring import Rounds
+from pytest_cpas.timing.measuring import SAMPLES, Rounds, timed_samples
 from pytest_cpas.timing.records import RecordError, SpeedRecord, read_record
 from pytest_cpas.timing.verdicts import parse_limit
 from pytest_cpas.timing.workers import Adapter, TimingError, Worker
+from pytest_cpas.types import ContractError, SampleRef
 
 SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
 
@@ -181,6 +182,41 @@ def test_order_and_drift_cancel():
     assert [ratio for _, ratio in rounds.ratios] == pytest.approx([1.3] * 6, rel=1e-12)
     assert [len(group) for group in rounds.by_sample()] == [2, 2, 2]
     assert rounds.elapsed() == pytest.approx(sum(rounds.candidate_seconds))
+
+
+class Listed:
+    """A run whose samples of the first category are damaged, but for one."""
+
+    dataset = "d"
+
+    def __init__(self, *counts):
+        self.samples = [
+            SampleRef(f"{kind:02d}/{i:03d}", f"kind{kind:02d}", "s")
+            for kind, count in enumerate(counts)
+            for i in range(count)
+        ]
+
+    def read(self, ref):
+        if ref.category == "kind00" and ref.id != "00/009":
+            raise ContractError("torn")
+        return ref
+
+
+def test_timed_samples_are_spread_over_the_categories():
+    run = Listed(10, 100, 3)
+    names = {ref.category for ref in run.samples}
+    assert [ref.id for ref in timed_samples(run, names)] == [
+        "00/009", *(f"01/{i:03d}" for i in (0, 25, 50, 75)), "02/000", "02/001", "02/002",
+    ]  # fmt: skip
+    assert [ref.id for ref in timed_samples(run, ["kind02"])] == ["02/000", "02/001", "02/002"]
+    many = Listed(*[20] * 30)
+    found = timed_samples(many, {ref.category for ref in many.samples})
+    assert len(found) <= SAMPLES
+    assert len({ref.category for ref in found}) == len(found) > SAMPLES - 2
+    with pytest.raises(ContractError, match="d: no samples of can"):
+        timed_samples(run, ["can"])
+    with pytest.raises(ContractError, match="no sample of d can be read"):
+        timed_samples(Listed(5), ["kind00"])
 
 
 # -- one process --------------------------------------------------------------------------------
@@ -626,6 +662,10 @@ def test_a_wrong_adapter_is_not_timed(clocked):
         (("--dist=load", "--tx=popen"), "--cpas-benchmark under xdist: *"),
         (("--benchmark-disable",), "--cpas-benchmark and --benchmark-disable: nothing would be*"),
         (("--benchmark-skip",), "--cpas-benchmark and --benchmark-skip: nothing would be timed*"),
+        (
+            ("--benchmark-cprofile=tottime",),
+            "*--benchmark-cprofile: a profiler changes every time*",
+        ),
         (("-p", "no:benchmark"), "*leave out -p no:benchmark*"),
         (("--cpas-benchmark-fail=lots",), "--cpas-benchmark-fail is 'lots', expected by how much*"),
         (("--cpas-benchmark-against=nothing",), "unknown method 'nothing'*"),

@@ -123,7 +123,8 @@ def time_rounds(
 
 
 def timed_samples(run: MethodRun, categories: Collection[str]) -> list[Sample]:
-    """Some :data:`SAMPLES` samples of a run, read: evenly spaced in each of ``categories``.
+    """Some :data:`SAMPLES` samples of a run, read: evenly spaced in each of ``categories``, or one
+    of each of so many categories.
 
     Of a damaged sample the next one takes the place. Raises :class:`ContractError` if there is
     none.
@@ -136,10 +137,11 @@ def timed_samples(run: MethodRun, categories: Collection[str]) -> list[Sample]:
         raise ContractError(
             f"{run.dataset}: no samples of {', '.join(categories) or 'both methods'}"
         )
-    each = math.ceil(SAMPLES / len(by_category))
+    listed = [refs for _, refs in sorted(by_category.items())]
+    taken = min(SAMPLES, len(listed))
     chosen: list[Sample] = []
-    for _, refs in sorted(by_category.items()):
-        count = min(each, len(refs))
+    for refs in (listed[index * len(listed) // taken] for index in range(taken)):
+        count = min(math.ceil(SAMPLES / taken), len(refs))
         edges = [index * len(refs) // count for index in range(count + 1)]
         for low, high in pairwise(edges):
             chosen += _first_readable(run, refs[low:high])

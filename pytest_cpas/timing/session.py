@@ -97,14 +97,18 @@ def check_usage(config: pytest.Config) -> None:
             "--cpas-benchmark measures with pytest-benchmark, which is switched off here: leave out"
             " -p no:benchmark (without plugin autoload give -p pytest_benchmark.plugin)"
         )
-    for given, name in (
-        (options.benchmark_disable and not options.benchmark_enable, "--benchmark-disable"),
-        (options.benchmark_skip and not options.benchmark_only, "--benchmark-skip"),
+    nothing = "nothing would be timed"
+    for given, name, why in (
+        (
+            options.benchmark_disable and not options.benchmark_enable,
+            "--benchmark-disable",
+            nothing,
+        ),
+        (options.benchmark_skip and not options.benchmark_only, "--benchmark-skip", nothing),
+        (options.benchmark_cprofile, "--benchmark-cprofile", "a profiler changes every time"),
     ):
         if given:
-            raise pytest.UsageError(
-                f"--cpas-benchmark and {name}: nothing would be timed; leave one of them out"
-            )
+            raise pytest.UsageError(f"--cpas-benchmark and {name}: {why}; leave one of them out")
 
 
 def _plan(config: pytest.Config, cpas: CpasSession) -> Plan:
