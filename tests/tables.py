@@ -30,4 +30,36 @@ def table(identity: str = "x", **rotation: float) -> RunTable:
     return RunTable.of(a_run(data=identity), rows(**rotation))
 
 
+def interval(median: float) -> dict:
+    return {"median": median, "lower": 0.9 * median, "upper": 1.1 * median, "confidence": 0.99}
+
+
+def a_speed(seconds: float) -> dict:
+    """What --cpas-benchmark leaves in a document, of a method that got slower."""
+    return {
+        "seconds": interval(seconds),
+        "mean_seconds": seconds,
+        "rounds": 24,
+        "predictions_per_round": 1,
+        "samples": 12,
+        "stages": [{"name": "network", "seconds": 0.0002, "share": 0.8}],
+        "memory": {"host_bytes": 2**30, "host_source": "predictions", "device_bytes": 2**20},
+        "machine": {
+            "clock": "wall clock",
+            "cpu": "A CPU",
+            "cores": 2,
+            "system": "Linux",
+            "python": "3.12.1",
+            "device": "A GPU",
+            "threads": {"openblas": 2},
+            "versions": {"numpy": "2.3"},
+        },
+        "reference": {"kind": "revision", "name": "git:HEAD~1", "seconds": interval(0.19)},
+        "ratio": interval(1.3),
+        "slowdown": interval(1.3),
+        "verdict": {"word": "SLOWER", "details": "by 30 %", "outcome": "failed", "limit": 1.2},
+        "published": {"dataset": "redwood75", "mean_seconds": 0.227, "machine": "Old, Older"},
+    }
+
+
 GOLDEN = table()

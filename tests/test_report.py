@@ -18,7 +18,7 @@ import pytest
 import tiny
 from harness import RUN
 from PIL import Image
-from tables import GOLDEN, REFS, Fixed, a_run, rows
+from tables import GOLDEN, REFS, Fixed, a_run, a_speed, rows
 
 import pytest_cpas.report
 from pytest_cpas.cli import main
@@ -673,33 +673,7 @@ def test_report_of_a_run_on_workers(report):
 
 
 def test_speed_is_told_beside_the_paper():
-    def interval(median):
-        return {"median": median, "lower": 0.9 * median, "upper": 1.1 * median, "confidence": 0.99}
-
-    speed = {
-        "seconds": interval(0.25),
-        "mean_seconds": 0.26,
-        "rounds": 24,
-        "predictions_per_round": 1,
-        "samples": 12,
-        "stages": [{"name": "network", "seconds": 0.0002, "share": 0.8}],
-        "memory": {"host_bytes": 2**30, "host_source": "predictions", "device_bytes": 2**20},
-        "machine": {
-            "clock": "wall clock",
-            "cpu": "A CPU",
-            "cores": 2,
-            "system": "Linux",
-            "python": "3.12.1",
-            "device": "A GPU",
-            "threads": {"openblas": 2},
-            "versions": {"numpy": "2.3"},
-        },
-        "reference": {"kind": "revision", "name": "git:HEAD~1", "seconds": interval(0.19)},
-        "ratio": interval(1.3),
-        "slowdown": interval(1.3),
-        "verdict": {"word": "SLOWER", "details": "by 30 %", "outcome": "failed", "limit": 1.2},
-        "published": {"dataset": "redwood75", "mean_seconds": 0.227, "machine": "Old, Older"},
-    }
+    speed = a_speed(0.25)
     content = a_document(rows(), speed=speed)
     assert content["outcome"] == "failed"
     text = markdown(content)

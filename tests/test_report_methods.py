@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from tables import Fixed
+from tables import Fixed, a_speed
 
 import pytest_cpas.report
 from pytest_cpas.evaluation import Row
@@ -20,36 +20,6 @@ from pytest_cpas.report.tables import category_tables, groups
 from pytest_cpas.types import SampleRef
 
 SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
-
-
-def interval(median: float) -> dict:
-    return {"median": median, "lower": 0.9 * median, "upper": 1.1 * median, "confidence": 0.99}
-
-
-def speed(seconds: float) -> dict:
-    return {
-        "seconds": interval(seconds),
-        "mean_seconds": seconds,
-        "rounds": 24,
-        "predictions_per_round": 1,
-        "samples": 12,
-        "stages": [],
-        "memory": {"host_bytes": 2**30, "host_source": "predictions", "device_bytes": None},
-        "machine": {
-            "cpu": "Here's CPU",
-            "cores": 2,
-            "system": "Linux",
-            "python": "3.12.1",
-            "device": "cpu",
-            "threads": {},
-            "versions": {},
-        },
-        "reference": {"kind": "calibration", "name": "fixed", "seconds": interval(0.1)},
-        "ratio": interval(3.0),
-        "slowdown": None,
-        "verdict": {"word": "MEASURED", "details": "no limit", "outcome": "passed", "limit": None},
-        "published": None,
-    }
 
 
 def told(method: str, dataset: str, correct: int, time: float | None = None) -> dict:
@@ -69,7 +39,7 @@ def told(method: str, dataset: str, correct: int, time: float | None = None) -> 
         contract=[],
         findings=[],
         golden=None,
-        speed=None if time is None else speed(time),
+        speed=None if time is None else a_speed(time),
     )
 
 
@@ -213,8 +183,8 @@ def test_tables_per_category_rank_measured_and_published():
 def test_run_times_stand_beside_the_paper_with_both_machines():
     text = page(report(told("mine", "redwood75", 60, 0.5)), {})
     section = text[text.index('id="run-time"') :]
-    assert "Here's CPU" in section
-    assert "MEASURED: no limit" in section
+    assert "A CPU, 2 cores, A GPU" in section
+    assert "SLOWER: by 30 %" in section
     assert "Intel Core i7-6850K, NVIDIA TITAN X (Pascal)" in section
     assert "<td>icaps (paper)</td><td>2.44 s</td>" in section
     assert 'id="run-time"' not in page(report(told("mine", "redwood75", 60)), {})
