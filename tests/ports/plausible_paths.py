@@ -17,6 +17,8 @@ SIX = np.arange(6)
 #: From coordinates to their parts; from parts to coordinates and to their parts again.
 PARTS = np.kron(np.eye(3), [[1], [-1]])
 AGAIN = PARTS @ PARTS.T
+#: Of what a last layer says besides; CR-Net multiplies three of them.
+NOISE = {"spd": 1.0, "sgpa": 0.1, "crnet": 0.002}
 #: Camera axes to those of an upright object that faces the camera.
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
 
@@ -28,7 +30,7 @@ def wire(
     columns: np.ndarray,
     matrix: np.ndarray | None = None,
 ) -> None:
-    """Let channels ``rows`` of a 1x1 convolution be ``matrix``, or the identity, times its input
+    """Let channels ``rows`` of a linear layer or 1x1 convolution be ``matrix``, or the identity, times its input
     channels ``columns``, and nothing else."""
     silence(state, layer, rows)
     flat = state[f"{layer}.weight"].flatten(1)
@@ -48,10 +50,10 @@ def gain(state: State, norm: str, rows: np.ndarray, value: float) -> None:
     state[f"{norm}.b_2"][rows] = 0
 
 
-def wire_chain(state: State, name: str, count: int) -> None:
-    """The following ``count`` convolutions, with a ReLU each."""
-    for i in range(count):
-        wire(state, f"{name}.{2 * i}", SIX, SIX)
+def wire_all(state: State, *layers: str) -> None:
+    """Let the first channels of these layers be what they get."""
+    for layer in layers:
+        wire(state, layer, SIX, SIX)
 
 
 def logits(prior: np.ndarray, category: int) -> np.ndarray:
@@ -60,8 +62,8 @@ def logits(prior: np.ndarray, category: int) -> np.ndarray:
     middle = (prior.min(axis=0) + prior.max(axis=0)) / 2
     half = np.ptp(prior, axis=0) / 2
     diagonal = np.linalg.norm(MEAN_SIZES[CATEGORIES[category]])
-    # a third of the half axis squared is the variance over an ellipsoid's surface, to first order
-    # the softmax's derivative
+    # to first order, the softmax's derivative is the variance: over the surface of an ellipsoid a
+    # third of the half axis squared
     return 3 * (prior - middle) / half**2 / diagonal
 
 
@@ -83,12 +85,11 @@ def to_prior(priors: np.ndarray) -> np.ndarray:
 def spd(state: State, priors: np.ndarray) -> None:
     """The global feature has the coordinates' mean."""
     wire(state, "instance_geometry.0", SIX, np.arange(3), PARTS)
-    for layer in ("instance_geometry.2", "instance_geometry.4"):
-        wire(state, layer, SIX, SIX)
-    wire_chain(state, "instance_global", 2)
+    wire_all(state, "instance_geometry.2", "instance_geometry.4")
+    wire_all(state, "instance_global.0", "instance_global.2")
     columns = np.concatenate([SIX, 128 + SIX])
     wire(state, "assignment.0", SIX, columns, np.concatenate([AGAIN, -AGAIN], 1))
-    wire(state, "assignment.2", SIX, SIX)
+    wire_all(state, "assignment.2")
     assign(state, "assignment.4", to_prior(priors) @ UPRIGHT, NOISE["spd"])
 
 
@@ -110,7 +111,7 @@ def sgpa(state: State, priors: np.ndarray) -> None:
     """A coordinate is half the difference of what the encoder sees below it and above it."""
     wire_encoder(state, "instance_geometry", "bn", 512)
     wire(state, "assignment.0", SIX, SIX, -AGAIN / 2)
-    wire(state, "assignment.2", SIX, SIX)
+    wire_all(state, "assignment.2")
     assign(state, "assignment.4", to_prior(priors) @ UPRIGHT, NOISE["sgpa"])
 
 
@@ -119,8 +120,7 @@ def dpdn(state: State) -> None:
     wire_encoder(state, "prior_extractor", "normlayer", 256)
     deformer = "posenet.deformer"
     silence(state, f"{deformer}.deform_mlp1.7", SIX)
-    wire(state, f"{deformer}.deform_mlp2.0", SIX, SIX)
-    wire(state, f"{deformer}.deform_mlp2.2", SIX, SIX)
+    wire_all(state, f"{deformer}.deform_mlp2.0", f"{deformer}.deform_mlp2.2")
     state[f"{deformer}.deform_mlp2.4.weight"][:, SIX, 0] = torch.from_numpy(
         np.tile(-PARTS.T / 2, (6, 1)).astype(np.float32)
     )
@@ -142,8 +142,7 @@ def crnet(state: State, priors: np.ndarray) -> None:
     """A head of the attention of the points to each other takes the mean of the coordinates."""
     means, constant, large = 6 + SIX, np.array([12]), 100.0
     wire(state, "instance_geometry.0", SIX, np.arange(3), PARTS)
-    for layer in ("instance_geometry.2", "instance_geometry.4"):
-        wire(state, layer, SIX, SIX)
+    wire_all(state, "instance_geometry.2", "instance_geometry.4")
     silence(state, "instance_geometry.4", np.concatenate([means, constant]))
     # beside it, layer norms change the rest by one factor
     state["instance_geometry.4.bias"][constant] = large
@@ -168,10 +167,9 @@ def crnet(state: State, priors: np.ndarray) -> None:
     dual = np.linalg.solve(moments, priors.transpose(0, 2, 1)).transpose(0, 2, 1)
     for stage, directions in (("", dual @ UPRIGHT), ("0", dual), ("1", to_prior(priors))):
         wire(state, f"category_local{stage}.0", SIX, np.arange(3), PARTS)
-        for layer in (f"category_local{stage}.2", f"category_local{stage}.4"):
-            wire(state, layer, SIX, SIX)
-        wire(state, f"category_global{stage}.0", SIX, SIX)
-        wire_chain(state, f"assignment{stage}", 2)
+        wire_all(state, f"category_local{stage}.2", f"category_local{stage}.4")
+        wire_all(state, f"category_global{stage}.0")
+        wire_all(state, f"assignment{stage}.0", f"assignment{stage}.2")
         assign(state, f"assignment{stage}.4", directions, NOISE["crnet"])
 
 
@@ -191,6 +189,3 @@ def sdfest(decoder: State) -> None:
     # about the slope of a distance
     decoder["decoder._conv_layers.3.weight"][0, 0] = 0.65
     decoder["decoder._conv_layers.3.bias"][0] = -0.65
-
-
-NOISE = {"spd": 1.0, "sgpa": 0.1, "crnet": 0.002}
