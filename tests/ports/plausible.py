@@ -9,9 +9,10 @@ golden tables of
         --cpas-weights=DIR --cpas-golden tests/ports/golden --cpas-require-golden
 
 The weights are the recipe's; some of the channels are set to carry coordinates through the network,
-and layers that end in something metric are turned down. ASM-Net's are the recipe's as they are: those
-of can estimate negative scales. Answers are likely, not right: the tables show which samples have an
-answer, and a run names those whose errors moved; what the networks say is guarded by recorded/.
+and layers that end in something metric are turned down. ASM-Net's are the recipe's as they are:
+those of can estimate negative scales. Answers are likely, not right: the tables show which samples
+have an answer, and a run names those whose errors moved; what the networks say is guarded by
+recorded/.
 """
 
 import sys

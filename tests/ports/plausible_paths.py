@@ -30,8 +30,8 @@ def wire(
     columns: np.ndarray,
     matrix: np.ndarray | None = None,
 ) -> None:
-    """Let channels ``rows`` of a linear layer or 1x1 convolution be ``matrix``, or the identity, times its input
-    channels ``columns``, and nothing else."""
+    """Let channels ``rows`` of a linear layer or 1x1 convolution be ``matrix``, or the identity,
+    times its input channels ``columns``, and nothing else."""
     silence(state, layer, rows)
     flat = state[f"{layer}.weight"].flatten(1)
     values = np.eye(len(rows)) if matrix is None else matrix
