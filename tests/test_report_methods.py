@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import jsonschema
@@ -14,6 +15,7 @@ from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.report.curves import charts as curve_charts
 from pytest_cpas.report.curves import curve_lines
 from pytest_cpas.report.document import document, run_document
+from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
 from pytest_cpas.report.scatter import charts, colour, dataset_pairs, methods
 from pytest_cpas.report.tables import category_tables, groups
@@ -178,6 +180,15 @@ def test_tables_per_category_rank_measured_and_published():
             rank = 1 + best.index(cell.correct) if cell.total == full else 9
             expected_rank = rank if rank <= 3 and len(best) > 1 else 0
             assert cell.rank == expected_rank, (category, name)
+
+
+def test_markdown_has_the_same_tables_with_marks():
+    text = markdown(report(told("mine", "real275", 60)))
+    assert "| dpdn (paper) | **12232/16118 75.9 % ¹** |" in text
+    (start,) = re.findall(r"<summary>per category at (.*)</summary>", text)
+    assert start == "10 deg, 2 cm, F 0.6"
+    (line,) = re.findall(r"^\| sgpa \(paper\) \|.*/2757 .*$", text, re.M)
+    assert line.startswith("| sgpa (paper) | **2087/2757 75.7 % ¹** | 2247/2370 94.8 % ² |")
 
 
 def test_run_times_stand_beside_the_paper_with_both_machines():

@@ -6,7 +6,15 @@ import re
 from collections.abc import Iterator, Sequence
 
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.tables import Cell, category_lines, groups, percent, precision_table
+from pytest_cpas.report.tables import (
+    Cell,
+    Line,
+    category_lines,
+    category_tables,
+    groups,
+    percent,
+    precision_table,
+)
 from pytest_cpas.report.words import (
     change_words,
     contract_words,
@@ -52,20 +60,31 @@ def _lines(document: Document) -> Iterator[str]:
         yield from _told(run)
     if "against" in document:
         yield from _against(document["against"], document["thresholds"])
+    thresholds = document["thresholds"]
     for title, runs, published in groups(document):
         yield f"## {_escape(title)}"
         yield ""
-        yield from _table(
-            ["correct", *document["thresholds"]],
-            [
-                [_escape(line.method) + (" (paper)" if line.paper else ""), *map(_cell, line.cells)]
-                for line in precision_table(document["thresholds"], runs, published)
-            ],
-        )
+        yield from _methods(["correct", *thresholds], precision_table(thresholds, runs, published))
+        for threshold, categories, lines in category_tables(thresholds, runs, published):
+            yield f"<details><summary>per category at {threshold}</summary>"
+            yield ""
+            yield from _methods(["correct", *map(_escape, categories)], lines)
+            yield "</details>"
+            yield ""
     for run in document["runs"]:
         yield from _speed(run)
     for run in document["runs"]:
         yield from _categories(run, document["thresholds"])
+
+
+def _methods(head: Sequence[str], lines: Sequence[Line]) -> Iterator[str]:
+    yield from _table(
+        head,
+        [
+            [_escape(line.method) + (" (paper)" if line.paper else ""), *map(_cell, line.cells)]
+            for line in lines
+        ],
+    )
 
 
 def _told(run: Document) -> Iterator[str]:

@@ -104,6 +104,9 @@ def _card(run: Document, index: int) -> Element:
         element("strong", element("a", run_name(run), href=f"#run-{index}")),
         element("p", judged_words(run)),
         element("p", golden_words(run), class_="faint"),
+        element("p", f"speed: {run['speed']['verdict']['word']}", class_="faint")
+        if run["speed"]
+        else None,
         element("p", links) if links else None,
         class_=f"card {run['outcome']}",
     )
