@@ -505,9 +505,10 @@ def test_absurd_estimates_leave_the_truth(translation):
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
     extents = [0.1, 1e300 if translation[0] == 50 else 0.1, 0.1]
     estimate = encode_estimate(Hypothesis(np.eye(3), translation, extents))
-    assert coloured(draw(sample, estimate, None), TRUTH_COLOUR) == pytest.approx(
-        coloured(draw(sample, None, None), TRUTH_COLOUR), abs=0.01
-    )
+    for shape in (None, encode_shape(np.eye(3)), encode_shape(np.eye(3) * 1e300)):
+        assert coloured(draw(sample, estimate, shape), TRUTH_COLOUR) == pytest.approx(
+            coloured(draw(sample, None, None), TRUTH_COLOUR), abs=0.01
+        )
 
 
 def test_page_shows_lost_and_worst_samples(report, pytester):

@@ -237,6 +237,8 @@ def test_damaged_reports_are_refused(tmp_path):
         (lambda c: c.pop("format"), "not a report"),
         (lambda c: c.update(format=99), "format 99, this version reads 1"),
         (lambda c: c["runs"][0].pop("samples"), "'samples' is a required property"),
+        (lambda c: c["thresholds"].reverse(), "other thresholds than this version"),
+        (lambda c: c["runs"][0]["precision"][0].update(threshold="x"), "other thresholds"),
         (lambda c: c["runs"][0]["samples"][2].update(outcome="<b>"), r"\$.runs\[0\].samples\[2\]"),
     ):
         bad = copy.deepcopy(good)

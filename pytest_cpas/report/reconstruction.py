@@ -72,8 +72,9 @@ def reconstruction(
     if estimate is not None and shape is not None:
         answer = decode_estimates([estimate])
         points = decode_shape(shape) @ answer.rotation[0].T + answer.translation[0]
+        points = points[np.isfinite(points).all(axis=1)]
         clouds.append((points, ESTIMATE_COLOUR, _LARGE))
-        off = np.linalg.norm(points - truth.pose.translation, axis=1).max()
+        off = np.linalg.norm(points - truth.pose.translation, axis=1).max(initial=0)
         half = float(np.clip(off, half, _MOST * radius))
     canvas = np.full((side, side, 3), GROUND, np.uint8)
     seen = [

@@ -145,7 +145,7 @@ def _chart(places: Sequence[_Place], pair: tuple[str, str], threshold: str) -> E
 
 def _end(shares: Sequence[float]) -> float:
     """Where an axis ends, so that a fifth of it is a round number."""
-    return next(end for end in (0.1, 0.25, 0.5, 0.75, 1.0) if max(shares) <= end)
+    return next((end for end in (0.1, 0.25, 0.5, 0.75) if max(shares) <= end), 1.0)
 
 
 def _mark(method: Method, x: float | None, y: float | None, axes: Axes, told: str) -> Element:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
-from pytest_cpas.evaluation import Row, SampleError
+from pytest_cpas.evaluation import THRESHOLDS, Row, SampleError
 from pytest_cpas.golden import RunTable
 from pytest_cpas.report.document import FORMAT, Document, run_document
 from pytest_cpas.results import MergedRun, merge
@@ -39,6 +39,16 @@ def read_report(path: Path) -> Document:
         raise StoredReportError(
             f"{path}: --cpas-report of this version did not write it ({wrong.json_path}:"
             f" {wrong.message[:200]})"
+        )
+    labels = [threshold.label for threshold in THRESHOLDS]
+    told = [run["precision"] for run in content["runs"]]
+    told += [
+        entry["precision"] for part in content["published"].values() for entry in part.values()
+    ]
+    found = {entry["threshold"] for entries in told for entry in entries}
+    if content["thresholds"] != labels or not found <= {*labels}:
+        raise StoredReportError(
+            f"{path}: has other thresholds than this version, which judges at {'; '.join(labels)}"
         )
     return cast(Document, content)
 
