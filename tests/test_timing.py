@@ -126,7 +126,7 @@ def test_a_record_and_a_run_of_it_hold_the_slowdown(planted):
         now = planted * level * generator.lognormal(0, 0.1, 12)
         found = record.slowdown(list(zip(names, now.tolist(), strict=True)))
         held += found.lower <= planted <= found.upper
-    assert scipy.stats.binomtest(held, trials, found.confidence, "less").pvalue > 1e-3
+    assert scipy.stats.binomtest(held, trials, 1 - ERROR, "less").pvalue > 1e-3
 
 
 @pytest.mark.parametrize(
@@ -519,6 +519,7 @@ def test_between_the_limits_is_undecided(clocked):
     assert clocked.speed["rounds"] == 2 * LOOKS[-1]
     result.assert_outcomes(skipped=2, deselected=result.parseoutcomes()["deselected"])
     assert clocked("Border", "--cpas-benchmark-fail=0.2", "--cpas-require-golden").ret == 1
+    assert clocked.speed["verdict"]["outcome"] == "failed"
 
 
 def test_a_ratio_of_another_machine_is_not_compared(clocked, pytester, monkeypatch):
@@ -529,6 +530,7 @@ def test_a_ratio_of_another_machine_is_not_compared(clocked, pytester, monkeypat
     assert clocked.speed["slowdown"] is None
     result.stdout.fnmatch_lines(["*only on some-cpu-3-ghz; for this one, other-cpu, record it*"])
     assert clocked("Slow", "--cpas-benchmark-fail=20%", "--cpas-require-golden").ret == 1
+    assert clocked.speed["verdict"]["outcome"] == "failed"
     monkeypatch.setattr(machine, "_cpu", lambda: "Some CPU @ 3 GHz")
     monkeypatch.setattr(machine, "_cores", lambda: 64)
     result = clocked("Slow", "--cpas-benchmark-fail=20%", "--cpas-seed=7")

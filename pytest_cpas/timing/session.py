@@ -87,10 +87,10 @@ def check_usage(config: pytest.Config) -> None:
             "--cpas-benchmark times methods, and there is none: give --cpas-method NAME and"
             " --cpas-dataset NAME"
         )
-    if getattr(options, "dist", "no") != "no" or getattr(options, "tx", None):
+    if getattr(options, "dist", "no") != "no":
         raise pytest.UsageError(
             "--cpas-benchmark under xdist: what runs beside a method changes its time, so nothing"
-            " would be measured or judged. Leave out --numprocesses, --dist and --tx (or give -n 0)"
+            " would be measured or judged. Leave out --numprocesses and --dist (or give -n 0)"
         )
     if not hasattr(options, "benchmark_disable"):
         raise pytest.UsageError(
