@@ -667,10 +667,15 @@ def test_interrupted_run_shows_what_there_is(cpas, pytester):
     assert not (pytester.path / "out").exists()
 
 
-def test_report_of_a_run_on_workers(report):
+def test_report_of_a_run_on_workers(report, pytester):
+    """The same numbers, and the same pictures: shapes travel with the rows."""
+    page = pytester.path / "out" / "report.html"
     alone, *_ = report("Biased")
+    shown = page.read_text()
     spread, *_ = report("Biased", "-n2")
     assert spread == alone
+    assert page.read_text() == shown
+    assert "data:image/webp" in shown
 
 
 def test_speed_is_told_beside_the_paper():
