@@ -139,9 +139,10 @@ class ICaps:
     ) -> Track:
         from method_adapters._networks.icaps_refinement import distance_grid, spread
 
-        matcher, refiner = self._category(observation.category)
         with stage("pre-processing"):
             view = View.of(observation)
+        matcher, refiner = self._category(observation.category)
+        with stage("pre-processing"):
             points = spread(view.cloud, generator)
         rotations = matcher.codebook.quaternions
         if last is None:

@@ -13,6 +13,7 @@ import method_adapters
 from pytest_cpas.datasets.nocs import Real275
 from pytest_cpas.evaluation import check_answers, measure
 from pytest_cpas.frames import to_standard
+from pytest_cpas.timing.contestant import Contestant
 from pytest_cpas.types import CATEGORIES, Observation
 
 
@@ -70,6 +71,12 @@ def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
     assert answers[3].reason.startswith("0 pixels of the mask")
     assert method.predict([few], 3)[0].reason == answers[0].reason
     assert method.predict([], 3) == []
+
+
+def test_stages_are_named(method):
+    told = Contestant(method, cases.observations()[:1], 3, "cpu").examine()
+    assert list(told["stages"]) == ["pre-processing", "network", "post-processing"]
+    assert sum(told["stages"].values()) > 0.5 * told["total"]
 
 
 def test_seed_decides_which_points_are_used(method):
