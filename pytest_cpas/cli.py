@@ -28,8 +28,9 @@ def command_line() -> argparse.ArgumentParser:
         "report",
         help="write the report of stored results, and compare two runs",
         description="Judge the files of --cpas-results, of a run or of all its shards, as merge"
-        " does, and write the files of --cpas-report. Further options are pytest's. Of a single"
-        " report.json the report is written anew, without pictures.",
+        " does, and write the files of --cpas-report; with --cpas-dataset NAME also pictures."
+        " Further options are pytest's. Of a single report.json the report is written anew,"
+        " without pictures.",
     )
     report.add_argument(
         "files", nargs="+", metavar="FILE", help="a file of --cpas-results, or one report.json"

@@ -214,6 +214,18 @@ class Run(ABC):
         return None
 
 
+def has_quick_truth(dataset: Dataset) -> bool:
+    """Whether :func:`read_truth` opens no image."""
+    return bool(getattr(dataset, "quick_truth", hasattr(dataset, "truth")))
+
+
+def read_truth(dataset: Dataset, ref: SampleRef) -> GroundTruth:
+    """The truth about one sample of a data set; :class:`ContractError` if it is damaged."""
+    read = getattr(dataset, "truth", None)
+    truth: GroundTruth = dataset.load(ref).truth if read is None else read(ref)
+    return truth
+
+
 class MethodRun(Run):
     """A method on a data set. The method is loaded at its first sample, once per process."""
 
@@ -242,7 +254,7 @@ class MethodRun(Run):
         self._keeps_shapes = keeps_shapes
         self.under_contract = shared is None
         self.info = method.info
-        self.quick_truth = getattr(dataset, "quick_truth", hasattr(dataset, "truth"))
+        self.quick_truth = has_quick_truth(dataset)
         camera = getattr(dataset, "camera", None)
         self.focal = camera.fx if isinstance(camera, Camera) else None
         absent: frozenset[str] = getattr(dataset, "absent", frozenset())
@@ -304,9 +316,7 @@ class MethodRun(Run):
 
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample; raises :class:`ContractError` if it is damaged."""
-        read = getattr(self._dataset, "truth", None)
-        truth: GroundTruth = self._dataset.load(ref).truth if read is None else read(ref)
-        return truth
+        return read_truth(self._dataset, ref)
 
     def judge(self, ref: SampleRef) -> Row:
         """Read, predict, validate, measure."""

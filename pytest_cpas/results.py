@@ -18,8 +18,8 @@ from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas.evaluation import Row, Run, SampleError
-from pytest_cpas.types import SampleRef
+from pytest_cpas.evaluation import Row, Run, SampleError, has_quick_truth, read_truth
+from pytest_cpas.types import Dataset, GroundTruth, SampleRef
 
 FORMAT = 4
 
@@ -258,6 +258,21 @@ class MergedRun(Run):
         self.under_contract = header.under_contract
         #: What the checks of the contract found, shard by shard.
         self.contract = [part.contract for part in parts]
+        #: The data set that was judged, if it is at hand.
+        self.images: Dataset | None = None
+
+    def take_images(self, dataset: Dataset) -> None:
+        """Have the samples themselves, for pictures; :class:`ResultsError` if the data differs."""
+        if dataset.digest != self.identity.get("data"):
+            raise ResultsError(
+                f"{self.method} on {self.dataset} was judged on other data:"
+                f" {self.identity.get('data')}, now {dataset.digest}; leave out --cpas-dataset"
+            )
+        self.images, self.quick_truth = dataset, has_quick_truth(dataset)
+
+    def truth(self, ref: SampleRef) -> GroundTruth | None:
+        """The truth about one sample, if the data set is at hand."""
+        return None if self.images is None else read_truth(self.images, ref)
 
     def judge(self, ref: SampleRef) -> Row:
         """The stored row; raises the stored error."""

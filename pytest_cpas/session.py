@@ -299,7 +299,8 @@ def cpas_session(config: pytest.Config) -> CpasSession:
 
 def _resolve_runs(config: pytest.Config) -> list[Run]:
     options = config.option
-    if bool(options.cpas_method) != bool(options.cpas_dataset):
+    for_pictures = options.cpas_dataset and options.cpas_merge and options.cpas_report
+    if bool(options.cpas_method) != bool(options.cpas_dataset) and not for_pictures:
         given: registry.Kind = "method" if options.cpas_method else "dataset"
         lacking: registry.Kind = "dataset" if options.cpas_method else "method"
         known = ", ".join(entry.name for entry in registry.registered(lacking))
@@ -325,7 +326,17 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
         for name in options.cpas_predictions:
             runs.append(StoredRun(config.invocation_params.dir / name, selection=selection))
         merged = [config.invocation_params.dir / name for name in options.cpas_merge]
-        runs += merge(merged, allow_gaps=options.cpas_allow_gaps)
+        for stored in merge(merged, allow_gaps=options.cpas_allow_gaps):
+            for dataset in datasets:
+                if dataset.name == stored.dataset:
+                    stored.take_images(dataset)
+            runs.append(stored)
+        judged = {run.dataset for run in runs}
+        if for_pictures and not judged.issuperset(dataset.name for dataset in datasets):
+            raise ResultsError(
+                f"--cpas-dataset {', '.join(options.cpas_dataset)}: the results are of"
+                f" {', '.join(sorted(judged))}"
+            )
     except (registry.RegistryError, ContractError, ResultsError, ValueError, OSError) as error:
         raise pytest.UsageError(str(error)) from error
     for run in runs:

@@ -302,6 +302,25 @@ def test_stored_results_give_the_report_of_the_run(report, recorded, pytester, m
     assert {key: new[key] for key in new if new[key] != old[key]} == {}
 
 
+def test_pictures_of_stored_results_with_their_data(report, recorded, pytester, monkeypatch):
+    """The page of merged shards is that of the run, up to the contract, if the data is there."""
+    whole, *_ = report("Biased")
+    images = re.compile(r'src="(data:image/webp[^"]*)"')
+    drawn = images.findall((pytester.path / "out" / "report.html").read_text())
+    for index in (1, 2):
+        recorded("Biased", f"--cpas-shard={index}/2", "--cpas-results=rows", "--cpas-report=part")
+    files = sorted(map(str, (pytester.path / "rows").iterdir()))
+    monkeypatch.chdir(pytester.path)
+    data = "--cpas-dataset=tiny:Tiny"
+    main(["report", *files, "--to", "again", data, *RUN])
+    assert images.findall((pytester.path / "again" / "report.html").read_text()) == drawn != []
+    merged = json.loads((pytester.path / "again" / "report.json").read_text())
+    assert merged["runs"][0]["up_axes"] == whole["runs"][0]["up_axes"]
+    assert main(["report", *files, "--to", "o", "--cpas-dataset=tiny:Renewed", *RUN]) == 4
+    assert main(["report", *files, "--to", "o", "--cpas-dataset=synthetic-handheld", *RUN]) == 4
+    assert main(["merge", *files, data, *RUN]) == 4  # pictures of nothing
+
+
 def test_report_that_cannot_be_written_fails_the_run(recorded, pytester):
     (pytester.path / "out").write_text("a file")
     result = recorded("Perfect", "--cpas-report=out")

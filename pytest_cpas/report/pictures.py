@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,9 @@ from pytest_cpas.report.reconstruction import (
     TRUTH_COLOUR,
     reconstruction,
 )
+from pytest_cpas.results import MergedRun
 from pytest_cpas.robustness import perturbation_of
-from pytest_cpas.types import Array, Camera, ContractError, Sample
+from pytest_cpas.types import Array, Camera, ContractError, Sample, SampleRef
 
 #: Pictures of one run, and of a report: a page of that many shall stay below 10 MB.
 COUNT, TOTAL = 24, 200
@@ -64,31 +65,34 @@ def pictures(
     images have none, and neither have perturbed data sets nor samples that cannot be read again.
     """
     shown = [
-        (run, content)
+        (run, content, read)
         for run, content in zip(runs, told, strict=True)
-        if isinstance(run, MethodRun) and not perturbation_of(run.dataset)
+        if (read := _reader(run)) and not perturbation_of(run.dataset)
     ]
     count = min(COUNT, TOTAL // max(1, len(shown)))
     since = {
         (pair["method"], pair["dataset"]): pair["flips"]
         for pair in (against or {"pairs": []})["pairs"]
     }
-    drawn = {}
-    for run, content in shown:
+    drawn: dict[tuple[str, str], dict[str, bytes]] = {}
+    for run, content, read in shown:
         key = run.method, run.dataset
-        drawn[key] = _drawn(run, rows[run], _chosen(content, since.get(key, []))[:count])
+        refs = {ref.id: ref for ref in run.samples}
+        drawn[key] = {}
+        for name in _chosen(content, since.get(key, []))[:count]:
+            row = rows[run][name]
+            try:
+                drawn[key][name] = draw(read(refs[name]), row.estimate, row.shape)
+            except ContractError:  # judged when it was not yet damaged
+                continue
     return drawn
 
 
-def _drawn(run: MethodRun, rows: Mapping[str, Row], names: Sequence[str]) -> dict[str, bytes]:
-    refs = {ref.id: ref for ref in run.samples}
-    drawn: dict[str, bytes] = {}
-    for name in names:
-        try:
-            drawn[name] = draw(run.read(refs[name]), rows[name].estimate, rows[name].shape)
-        except ContractError:  # judged when it was not yet damaged
-            continue
-    return drawn
+def _reader(run: Run) -> Callable[[SampleRef], Sample] | None:
+    """What reads the samples of a run, if they are at hand."""
+    if isinstance(run, MethodRun):
+        return run.read
+    return run.images.load if isinstance(run, MergedRun) and run.images else None
 
 
 def _chosen(told: Document, since: Sequence[Document]) -> list[str]:
