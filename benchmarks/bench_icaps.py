@@ -1,7 +1,7 @@
 """How long iCaps takes for one object, CPU, all cores, against the same steps in the plain way:
 crop by crop, every step of the refinement with all points and autograd, the whole grid.
 
-    python benchmarks/bench_icaps.py
+    python benchmarks/bench_icaps.py [THREADS]
 
 The published code is stated to take 94 s for an object on a machine of 2 cores; a fifth of that is
 wanted. Where other work runs on the machine, look at the processor time. The object is an ellipsoid
@@ -140,7 +140,9 @@ def timed(icaps: ICaps, seen: Observation, name: str) -> tuple[Hypothesis, float
 
 
 def main() -> None:
-    seen, threads = observation(), torch.get_num_threads()
+    threads = int(sys.argv[1]) if len(sys.argv) > 1 else len(os.sched_getaffinity(0))
+    torch.set_num_threads(threads)
+    seen = observation()
     print(f"{np.count_nonzero(seen.mask)} pixels; {threads} threads, load {os.getloadavg()[0]:.1f}")
     evaluated = []
     real = Shape.distances_and_gradients
