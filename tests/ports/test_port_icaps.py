@@ -243,6 +243,21 @@ def test_refinement_finds_the_pose():
     check_refinement()
 
 
+def test_float_noise_is_within_what_is_declared():
+    """What threads change in the last digits grows in the refinement, but not further."""
+    random = np.random.default_rng(1)
+    points = icaps_cases.corners()[random.integers(6, size=(600, 3))]
+    points = (points * random.dirichlet(np.ones(3), 600)[..., None]).sum(1) * 0.08 + [0, 0, 0.7]
+    start = Placed(Rotation.from_rotvec([0.2, 0.1, -0.2]).as_matrix(), np.array([0, 0, 0.71]), 0.08)
+    refiner = Refiner(icaps_cases.NoLatent(), icaps_cases.decoder(), 2.2)
+    shape = refiner.shape_of(torch.zeros((1, 3)))
+    noisy = points * (1 + 1e-7 * random.standard_normal(points.shape))
+    one, other = (refiner.follow(given, start, shape) for given in (points, noisy))
+    assert degrees(one.rotation, start.rotation) > 3
+    assert np.deg2rad(degrees(one.rotation, other.rotation)) < ICaps.info.tolerance
+    np.testing.assert_allclose(one.translation, other.translation, atol=ICaps.info.tolerance)
+
+
 def test_linear_between_evaluations_as_evaluated_always(monkeypatch):
     """On the same path as with an evaluation per step, within what a step may move."""
     poses = []
