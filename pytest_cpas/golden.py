@@ -383,7 +383,7 @@ def _parse(
     if tuple(next(lines, ())) != _COLUMNS:
         raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
     try:
-        samples = {line[0]: _sample(line) for line in lines}
+        samples = {sys.intern(line[0]): _sample(line) for line in lines}
     except (ValueError, IndexError) as error:
         raise GoldenError(f"samples.csv: {error}") from error
     for sample in samples.values():

@@ -108,9 +108,10 @@ class CpasSession(SuiteSession):
         """Collect rows, and keep them on disk if asked to; a disk that is full ends the run."""
         index, content = found
         run = self.runs[index]
-        # one object per category, not one per row
+        # one object each, which the samples' references have already
+        shared = ("sample", "category")
         rows = [
-            Row(**values | {"category": sys.intern(values["category"])})
+            Row(**values | {name: sys.intern(values[name]) for name in shared})
             for values in content["rows"]
         ]
         self.rows[run] |= {row.sample: row for row in rows}

@@ -405,8 +405,8 @@ class SampleRef:
     model: str = ""
 
     def __post_init__(self) -> None:
-        # a few different ones only, however many samples: one object each
-        for name in ("category", "scene", "model"):
+        # one object each: few differ, but for the id, which rows and golden tables have too
+        for name in ("id", "category", "scene", "model"):
             object.__setattr__(self, name, sys.intern(str(getattr(self, name))))
 
 
