@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import struct
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -34,6 +35,12 @@ def read_tensors(path: Path) -> Any:
         EOFError,
         ValueError,
         zipfile.BadZipFile,
+        # torch's unpickler takes the end of a torn file as it comes
+        struct.error,
+        LookupError,
+        AttributeError,
+        TypeError,
+        AssertionError,
     ) as error:
         reason = str(error).strip().splitlines()
         raise AssetError(

@@ -115,6 +115,16 @@ def test_torn_file(tmp_path, weights, share, old):
         read_checkpoint(path)
 
 
+def test_file_torn_anywhere(tmp_path, weights):
+    whole, torn = tmp_path / "whole.pth", tmp_path / "torn.pth"
+    torch.save(weights, whole, _use_new_zipfile_serialization=False)
+    content = whole.read_bytes()
+    for size in range(len(content)):
+        torn.write_bytes(content[:size])
+        with pytest.raises(AssetError, match="damaged, torn"):
+            read_checkpoint(torn)
+
+
 @pytest.mark.parametrize(
     "content", [b"<!DOCTYPE html><title>Quota exceeded</title>", b"version https://git-lfs"]
 )
