@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
+
+
+def toml_string(text: str) -> str:
+    """Text as a TOML basic string, which a JSON string is."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -11,7 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy
@@ -145,6 +145,15 @@ def precision_table(judged: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
+_Value = TypeVar("_Value")
+
+
+def evenly(values: Sequence[_Value], most: int) -> list[_Value]:
+    """At most so many of the values, evenly spaced, in order."""
+    count = min(most, len(values))
+    return [values[i * len(values) // count] for i in range(count)]
+
+
 @dataclass(frozen=True)
 class Selection:
     """Which samples to judge: those of ``categories`` (all if empty), of them ``limit``, evenly
@@ -158,8 +167,7 @@ class Selection:
     def of(self, samples: Sequence[SampleRef]) -> list[SampleRef]:
         """The selected samples, in order."""
         chosen = [s for s in samples if not self.categories or s.category in self.categories]
-        count = len(chosen) if self.limit is None else min(self.limit, len(chosen))
-        limited = [chosen[i * len(chosen) // count] for i in range(count)]
+        limited = chosen if self.limit is None else evenly(chosen, self.limit)
         return limited[self.shard - 1 :: self.shards]
 
 

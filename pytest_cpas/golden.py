@@ -13,7 +13,6 @@ import csv
 import functools
 import hashlib
 import io
-import json
 import os
 import re
 import sys
@@ -27,6 +26,7 @@ from typing import Any
 import filelock
 
 from pytest_cpas._cache import cache_folder
+from pytest_cpas._files import toml_string
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, outcomes, precision_table
 from pytest_cpas.metrics.precision import Count, Errors
 
@@ -174,12 +174,12 @@ class RunTable:
         lines = [
             "# Recorded by pytest-cpas; --snapshot-update records it anew.",
             f"format = {FORMAT}",
-            f"samples_sha256 = {_quoted(_digest(samples_csv))}",
+            f"samples_sha256 = {toml_string(_digest(samples_csv))}",
             f"seeds = {self.seeds}",
         ]
         for title, values in (("identity", self.identity), ("provenance", self.provenance)):
             lines += ["", f"[{title}]"]
-            lines += [f"{key} = {_quoted(value)}" for key, value in sorted(values.items())]
+            lines += [f"{key} = {toml_string(value)}" for key, value in sorted(values.items())]
         lines += ["", "[cells]", *_cell_lines(self.table)]
         return "\n".join(lines) + "\n"
 
@@ -208,7 +208,7 @@ def _table_samples(rows: Sequence[Row]) -> dict[str, TableSample]:
 
 def _cell_lines(table: Table) -> list[str]:
     return [
-        f"{_quoted(f'{category} | {label}')} = {_quoted(_cell(cell))}"
+        f"{toml_string(f'{category} | {label}')} = {toml_string(_cell(cell))}"
         for category, cells in sorted(table.items())
         for label, cell in sorted(cells.items())
     ]
@@ -216,10 +216,6 @@ def _cell_lines(table: Table) -> list[str]:
 
 def _cell(cell: Count | None) -> str:
     return "n/a" if cell is None else f"{cell.correct}/{cell.total}"
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)  # a JSON string is a TOML basic string
 
 
 def _digest(samples: str) -> str:
@@ -392,7 +388,9 @@ def _parse(
             raise GoldenError(f"samples.csv: outcomes {' '.join(told)}")
     listed = Counter(sample.category for sample in samples.values())
     table = RunTable(method, dataset, identity, provenance, samples, listed, seeds)
-    if [f"{_quoted(k)} = {_quoted(v)}" for k, v in cells.items()] != _cell_lines(table.table):
+    if [f"{toml_string(k)} = {toml_string(v)}" for k, v in cells.items()] != _cell_lines(
+        table.table
+    ):
         raise GoldenError("the cells of table.toml are not the sums of samples.csv")
     return table
 

@@ -33,11 +33,6 @@ def told(judged=None, run=None, errors=None) -> dict:
         run,
         RunTable.of(run, rows() if judged is None else judged),
         errors=errors or {},
-        verdicts=[],
-        require_golden=False,
-        contract=[],
-        findings=[],
-        golden=None,
     )
 
 

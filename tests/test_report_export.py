@@ -121,12 +121,6 @@ def test_a_method_alone_is_not_marked_and_what_is_not_given_is_na():
     empty = run_document(
         run,
         RunTable.of(run, []),
-        errors={},
-        verdicts=[],
-        require_golden=False,
-        contract=[],
-        findings=[],
-        golden=None,
     )
     ((line,),) = tables(precision_tex(report(empty)))
     assert line == ["m", *["n/a"] * 4]

@@ -35,12 +35,6 @@ def told(method: str, dataset: str, correct: int, time: float | None = None) -> 
     return run_document(
         run,
         RunTable.of(run, judged),
-        errors={},
-        verdicts=[],
-        require_golden=False,
-        contract=[],
-        findings=[],
-        golden=None,
         speed=None if time is None else a_speed(time),
     )
 

@@ -119,12 +119,6 @@ def test_page_shows_the_truth_once_and_every_estimate():
         run_document(
             a_run(),
             table(),
-            errors={},
-            verdicts=[],
-            require_golden=False,
-            contract=[],
-            findings=[],
-            golden=None,
         )
         | {"method": name, "up_axes": axes}
         for name in ("a", "</script><b>", "c")

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pytest_cpas.diagnosis.evidence import BOX_IOU, Evidence
 from pytest_cpas.diagnosis.search import Finding, diagnose
 from pytest_cpas.estimates import decode_estimates
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run
+from pytest_cpas.evaluation import THRESHOLDS, Row, Run, evenly
 from pytest_cpas.golden import RunTable
 from pytest_cpas.published import published_cells
 from pytest_cpas.types import ContractError, GroundTruth, SampleRef
@@ -70,8 +70,8 @@ def diagnose_run(
     info = run.info
     if info is None or not is_far_below(table, expected):
         return []
-    if not run.quick_truth and len(rows) > MOST_TRUTHS:
-        rows = [rows[i * len(rows) // MOST_TRUTHS] for i in range(MOST_TRUTHS)]
+    if not run.quick_truth:
+        rows = evenly(rows, MOST_TRUTHS)
     refs = {ref.id: ref for ref in run.samples}
     unanswered: Counter[str] = Counter()
     answered: list[tuple[SampleRef, str, GroundTruth]] = []

@@ -11,6 +11,7 @@ from pytest_cpas.evaluation import DEFINITIONS, THRESHOLDS
 from pytest_cpas.golden import TableSample, differences
 from pytest_cpas.report.document import Document, flip_document
 from pytest_cpas.report.stored import StoredReportError
+from pytest_cpas.report.words import run_name
 from pytest_cpas.spread import fewer, more
 
 #: What two runs must have in common to be compared.
@@ -27,7 +28,7 @@ def pairs(
     identity are looked at. Raises :class:`StoredReportError` if there is no pair, or if one was
     made on other data or with other definitions of the metrics.
     """
-    found = [(a, b) for a in new for b in old if _name(a) == _name(b)]
+    found = [(a, b) for a in new for b in old if run_name(a) == run_name(b)]
     left, right = _without(new, [a for a, _ in found]), _without(old, [b for _, b in found])
     for dataset in dict.fromkeys(run["dataset"] for run in left):
         ours, theirs = ([r for r in runs if r["dataset"] == dataset] for runs in (left, right))
@@ -44,11 +45,11 @@ def pairs(
         )
         if other := differences(before, now):
             raise StoredReportError(
-                f"{_name(a)} cannot be compared with {_name(b)}: {'; '.join(other)}. Judge both"
-                " on the same data with the same version"
+                f"{run_name(a)} cannot be compared with {run_name(b)}: {'; '.join(other)}. Judge"
+                " both on the same data with the same version"
             )
     alone = [
-        f"{_name(run)} ({which} only)"
+        f"{run_name(run)} ({which} only)"
         for which, runs, taken in (
             ("this run", new, [a for a, _ in found]),
             ("the other run", old, [b for _, b in found]),
@@ -58,12 +59,8 @@ def pairs(
     return found, alone
 
 
-def _name(run: Document) -> str:
-    return f"{run['method']} on {run['dataset']}"
-
-
 def _names(runs: Sequence[Document]) -> str:
-    return ", ".join(map(_name, runs)) or "no method on no data set"
+    return ", ".join(map(run_name, runs)) or "no method on no data set"
 
 
 def _without(runs: Sequence[Document], taken: Sequence[Document]) -> list[Document]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.document import Document
+from pytest_cpas.report.words import method_title
 
 #: Per curve of the document: title, factor and unit for people.
 _AXES = {
@@ -70,7 +71,7 @@ def _legend(line: Line) -> Element:
         height=10,
         aria_hidden="true",
     )
-    return element("li", swatch, f" {line.method}{' (paper)' if line.paper else ''}")
+    return element("li", swatch, " ", method_title(line.method, line.paper))
 
 
 def _style(line: Line) -> str:
@@ -95,7 +96,7 @@ def _chart(name: str, factor: float, label: str, lines: Sequence[Line]) -> Eleme
                 f"{axes.up(point['correct'] / point['total'])}"
                 for point in points
             )
-            told = element("title", f"{line.method}{' (paper)' if line.paper else ''}")
+            told = element("title", method_title(line.method, line.paper))
             parts.append(element("polyline", told, points=path, class_=_style(line)))
     names = ", ".join(dict.fromkeys(line.method for line in lines))
     return element(

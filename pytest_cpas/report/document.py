@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from types import MappingProxyType
 from typing import Any
 
 from pytest_cpas.checks.contract import ContractResult
@@ -66,12 +67,12 @@ def run_document(
     run: Run,
     new: RunTable,
     *,
-    errors: Mapping[str, str],
-    verdicts: Sequence[Verdict],
-    require_golden: bool,
-    contract: Iterable[ContractResult],
-    findings: Sequence[Finding],
-    golden: RunTable | None,
+    errors: Mapping[str, str] = MappingProxyType({}),
+    verdicts: Sequence[Verdict] = (),
+    require_golden: bool = False,
+    contract: Iterable[ContractResult] = (),
+    findings: Sequence[Finding] = (),
+    golden: RunTable | None = None,
     speed: Document | None = None,
     samples: bool = True,
 ) -> Document:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
+from pytest_cpas.report.words import method_title
 from pytest_cpas.robustness import perturbation_of
 
 #: Data sets beside each other in a table.
@@ -161,11 +162,11 @@ def _table(
 
 
 def _method(line: Line) -> str:
-    return _escape(line.method) + (" (paper)" if line.paper else "")
+    return _escape(method_title(line.method, line.paper))
 
 
 def _cell(cell: Cell | None) -> str:
-    return "n/a" if cell is None else _MARKS[cell.rank].format(f"{cell.correct / cell.total:.4f}")
+    return "n/a" if cell is None else _MARKS[cell.rank].format(f"{cell.share:.4f}")
 
 
 def _threshold(label: str) -> str:

@@ -21,6 +21,7 @@ from pytest_cpas.report.words import (
     flip_words,
     golden_words,
     judged_words,
+    method_title,
     outcome_words,
     pair_title,
     pair_words,
@@ -81,7 +82,7 @@ def _methods(head: Sequence[str], lines: Sequence[Line]) -> Iterator[str]:
     yield from _table(
         head,
         [
-            [_escape(line.method) + (" (paper)" if line.paper else ""), *map(_cell, line.cells)]
+            [_escape(method_title(line.method, line.paper)), *map(_cell, line.cells)]
             for line in lines
         ],
     )

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.words import seconds_words
+from pytest_cpas.report.tables import as_cell
+from pytest_cpas.report.words import method_title, seconds_words
 from pytest_cpas.robustness import perturbation_of
 
 #: Pairs of data sets that a page shows.
@@ -47,7 +48,7 @@ class Method:
     @property
     def title(self) -> str:
         """The name, and that it is the paper's."""
-        return f"{self.name} (paper)" if self.paper else self.name
+        return method_title(self.name, self.paper)
 
 
 def methods(document: Document) -> list[Method]:
@@ -90,8 +91,7 @@ def _dataset(run: Document) -> str:
 
 def _overall(entries: Sequence[Document], kind: str) -> dict[str, float]:
     return {
-        entry["threshold"]: (count["correct"] if "correct" in count else count["lowest"])
-        / count["total"]
+        entry["threshold"]: as_cell(count).share
         for entry in entries
         if entry["category"] == "all" and (count := entry[kind])
     }

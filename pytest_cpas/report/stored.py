@@ -86,9 +86,4 @@ def _judged(run: MergedRun) -> Document:
         run,
         RunTable.of(run, rows),
         errors=errors,
-        verdicts=[],
-        require_golden=False,
-        contract=[],
-        findings=[],
-        golden=None,
     )

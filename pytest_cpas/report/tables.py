@@ -17,9 +17,14 @@ class Cell:
     rank: int = 0
 
     @property
+    def share(self) -> float:
+        """The precision."""
+        return self.correct / self.total
+
+    @property
     def percent(self) -> str:
         """The precision for people."""
-        return f"{100 * self.correct / self.total:.1f} %"
+        return f"{100 * self.share:.1f} %"
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ def category_lines(told: Document) -> Iterator[tuple[str, list[Document]]]:
 
 def percent(count: Document) -> str:
     """The precision of a measured, golden or published count for people."""
-    return _cell(count).percent
+    return as_cell(count).percent
 
 
 def _cells(
@@ -112,10 +117,11 @@ def _cells(
         for entry in entries
         if entry[kind] is not None
     }
-    return [_cell(counts[column]) if column in counts else None for column in columns]
+    return [as_cell(counts[column]) if column in counts else None for column in columns]
 
 
-def _cell(count: Document) -> Cell:
+def as_cell(count: Document) -> Cell:
+    """A measured, golden or published count as a cell."""
     # the paper's print leaves two counts open at most, which are the same for people
     return Cell(count["correct"] if "correct" in count else count["lowest"], count["total"])
 

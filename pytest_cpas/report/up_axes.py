@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
+from pytest_cpas.checks.dataset.orientations import REACH, lambert, up_axis_spread
 from pytest_cpas.diagnosis.running import MOST_TRUTHS
 from pytest_cpas.estimates import decode_estimates
-from pytest_cpas.evaluation import Row, Run
+from pytest_cpas.evaluation import Row, Run, evenly
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.document import Document
 from pytest_cpas.robustness import perturbation_of
@@ -32,7 +31,7 @@ def up_axes(run: Run, rows: Sequence[Row]) -> Document | None:
     """
     if perturbation_of(run.dataset):
         return None
-    few = _evenly(rows, len(rows) if run.quick_truth else MOST_TRUTHS)
+    few = evenly(rows, len(rows) if run.quick_truth else MOST_TRUTHS)
     refs = {ref.id: ref for ref in run.samples}
     true = []
     for row in few:
@@ -59,15 +58,10 @@ def _side(directions: Array) -> Document | None:
         "resultant": round(spread.resultant, 6),
         "coverage": round(spread.coverage, 6),
         "directions": [
-            [round(float(part), 3) + 0.0 for part in direction]
-            for direction in _evenly(directions, SHOWN)
+            [round(part, 3) + 0.0 for part in direction]
+            for direction in evenly(directions.tolist(), SHOWN)
         ],
     }
-
-
-def _evenly(values: Sequence[Any] | Array, most: int) -> list[Any]:
-    count = min(most, len(values))
-    return [values[i * len(values) // count] for i in range(count)]
 
 
 def disc(side: Document, title: str, *, estimate: bool) -> Element:
@@ -88,9 +82,8 @@ def disc(side: Document, title: str, *, estimate: bool) -> Element:
         for angle in range(30, 181, 30)
     ]
     dots = []
-    for x, y, z in side["directions"]:
-        factor = _RADIUS * math.sqrt(max(2 / max(1 - y, 1e-12), 0)) / 2
-        dots.append(f"M{middle + factor * x:.1f} {middle - factor * z:.1f}h0")
+    for right, down in middle + _RADIUS * lambert(np.array(side["directions"])):
+        dots.append(f"M{right:.1f} {down:.1f}h0")
     equator = _RADIUS / math.sqrt(2)
     words = (
         f"{side['count']} directions, mean resultant length {side['resultant']:.3f}; within"

@@ -13,6 +13,16 @@ def outcome_words(outcome: str) -> str:
     return {"failed": "FAILED", "skipped": "NOT CHECKED", "passed": "PASSED"}[outcome]
 
 
+def run_name(run: Document) -> str:
+    """What a run is called."""
+    return f"{run['method']} on {run['dataset']}"
+
+
+def method_title(name: str, paper: bool) -> str:
+    """What a method is called beside others; ``paper``: its figures are those printed there."""
+    return f"{name} (paper)" if paper else name
+
+
 def judged_words(run: Document) -> str:
     """How many samples a verdict is about."""
     answers = f", {run['unanswered']} without an answer" if run["unanswered"] else ""

@@ -6,7 +6,6 @@ One file per method, data set and kind of machine, for a ratio means nothing on 
 
 from __future__ import annotations
 
-import json
 import re
 import statistics
 import tomllib
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas._files import write_text
+from pytest_cpas._files import toml_string, write_text
 from pytest_cpas.golden import differences
 from pytest_cpas.timing.intervals import (
     RECORD_CONFIDENCE,
@@ -82,9 +81,14 @@ class SpeedRecord:
         ]
         for title, values in (("identity", self.identity), ("provenance", self.provenance)):
             lines += ["", f"[{title}]"]
-            lines += [f"{_quoted(key)} = {_quoted(value)}" for key, value in sorted(values.items())]
+            lines += [
+                f"{toml_string(key)} = {toml_string(value)}"
+                for key, value in sorted(values.items())
+            ]
         lines += ["", "[ratios]"]
-        lines += [f"{_quoted(name)} = {ratio:.6g}" for name, ratio in sorted(self.ratios.items())]
+        lines += [
+            f"{toml_string(name)} = {ratio:.6g}" for name, ratio in sorted(self.ratios.items())
+        ]
         return "\n".join(lines) + "\n"
 
     @classmethod
@@ -98,10 +102,6 @@ class SpeedRecord:
         if not all(0 < value < float("inf") for value in (*ratios.values(), *spread.values())):
             raise ValueError("ratios and spread must be positive")
         return cls(content["identity"], content["provenance"], ratios, Interval(1.0, **spread))
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)  # a JSON string is a TOML basic string
 
 
 def identity_of(run: Mapping[str, str], machine: Mapping[str, Any], kernel: str) -> dict[str, str]:

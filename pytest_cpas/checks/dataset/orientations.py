@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from pytest_cpas.types import Array
 
-__all__ = ["REACH", "Spread", "up_axis_spread"]
+__all__ = ["REACH", "Spread", "lambert", "up_axis_spread"]
 
 #: The angle within which a direction counts as covered, degrees.
 REACH = 15.0
@@ -49,3 +49,15 @@ def up_axis_spread(up: Array) -> Spread:
         float(np.linalg.norm(up.mean(axis=0))),
         float(np.mean(np.isfinite(distances)) / expected),
     )
+
+
+def lambert(up: Array) -> Array:
+    """Lambert's equal-area projection (n, 2), to the unit disc, of unit vectors (n, 3), camera frame.
+
+    To the right and down on paper: the middle is the image's up (-y), the rim its down; to the
+    right is the camera's right (+x), below the middle is what points towards the camera (-z).
+    """
+    x, y, z = up.T
+    # |(x, z)| is sin(theta), theta measured from -y; the projection has the radius 2 sin(theta / 2)
+    factor = np.sqrt(np.maximum(2 / np.maximum(1 - y, 1e-12), 0)) / 2
+    return np.stack([factor * x, -factor * z], axis=-1)

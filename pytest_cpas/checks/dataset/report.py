@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
 from pytest_cpas.checks.dataset.facts import Survey
-from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
+from pytest_cpas.checks.dataset.orientations import REACH, lambert, up_axis_spread
 from pytest_cpas.checks.dataset.verdicts import Verdict, Word
 from pytest_cpas.report.terminal import print_table
 from pytest_cpas.types import Array
@@ -152,12 +152,8 @@ def _draw_panel(up: Array) -> Image.Image:
 
 def _density(up: Array, height: int, side: int) -> NDArray[np.uint8]:
     """Opacity (height, side) of dots at the projected directions."""
-    x, y, z = up.T
-    # |(x, z)| is sin(theta), theta measured from -y; the projection has the radius 2 sin(theta / 2)
-    factor = np.sqrt(np.maximum(2 / np.maximum(1 - y, 1e-12), 0)) / 2
-    middle = side / 2
-    columns = np.round(middle + _SCALE * _RADIUS * factor * x).astype(int)
-    rows = np.round(middle - _SCALE * _RADIUS * factor * z).astype(int)
+    places = np.round(side / 2 + _SCALE * _RADIUS * lambert(up)).astype(int)
+    columns, rows = places.T
     counts = np.zeros((height, side))
     np.add.at(counts, (np.clip(rows, 0, height - 1), np.clip(columns, 0, side - 1)), 1)
     radius, opacity = (4, 0.8) if len(up) < 500 else (2, 0.25)

@@ -15,10 +15,10 @@ from pytest_cpas.report._html import Child, Element, element, page_text
 from pytest_cpas.report.document import SEVERITY, Document
 from pytest_cpas.report.page._comparison import comparison
 from pytest_cpas.report.page._methods import overview, precision, run_times, up_axes
-from pytest_cpas.report.page._parts import badge, run_name, sample_link
+from pytest_cpas.report.page._parts import badge, sample_link
 from pytest_cpas.report.page._runs import run_details
 from pytest_cpas.report.page._samples import sample_data, sample_list
-from pytest_cpas.report.words import golden_words, judged_words, outcome_words
+from pytest_cpas.report.words import golden_words, judged_words, outcome_words, run_name
 
 
 def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]) -> str:

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.page._parts import run_name, table
+from pytest_cpas.report.page._parts import table
 from pytest_cpas.report.scatter import PAIRS, dataset_pairs, methods
 from pytest_cpas.report.scatter import charts as scatter_charts
 from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
 from pytest_cpas.report.up_axes import disc
-from pytest_cpas.report.words import seconds_words, speed_lines
+from pytest_cpas.report.words import method_title, run_name, seconds_words, speed_lines
 
 
 def precision(document: Document) -> Iterator[Element]:
@@ -37,7 +37,7 @@ def _method_table(head: Sequence[str], lines: Sequence[Line]) -> Element:
         [
             element(
                 "tr",
-                element("td", line.method, " (paper)" if line.paper else None),
+                element("td", method_title(line.method, line.paper)),
                 [_precision_cell(cell) for cell in line.cells],
                 class_="paper" if line.paper else None,
             )
@@ -148,7 +148,7 @@ def run_times(document: Document) -> Iterator[Element]:
             [
                 element(
                     "tr",
-                    element("td", f"{method} (paper)"),
+                    element("td", method_title(method, paper=True)),
                     element("td", seconds_words(time["mean_seconds"])),
                     class_="paper",
                 )

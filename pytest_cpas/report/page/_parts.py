@@ -7,7 +7,7 @@ from urllib.parse import urlencode
 
 from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.words import flip_words, outcome_words
+from pytest_cpas.report.words import flip_words, outcome_words, run_name
 
 #: Flips that the page lists with their errors; the list of samples has all.
 _FLIPS = 50
@@ -16,11 +16,6 @@ _FLIPS = 50
 def badge(outcome: str) -> Element:
     """An outcome, in its colour."""
     return element("span", outcome_words(outcome), class_=f"badge {outcome}")
-
-
-def run_name(run: Document) -> str:
-    """What a run is called."""
-    return f"{run['method']} on {run['dataset']}"
 
 
 def table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = False) -> Element:

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.page._parts import badge, flip_table, run_name, table
+from pytest_cpas.report.page._parts import badge, flip_table, table
 from pytest_cpas.report.tables import category_lines, percent
-from pytest_cpas.report.words import contract_words, flip_words, troubles
+from pytest_cpas.report.words import contract_words, flip_words, run_name, troubles
 
 #: Runs of which the details are unfolded although nothing is wrong with them.
 _UNFOLDED = 2

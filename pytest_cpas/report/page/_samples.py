@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.document import Document
-from pytest_cpas.report.page._parts import run_name, table
+from pytest_cpas.report.page._parts import table
+from pytest_cpas.report.words import run_name
 
 
 def sample_list(several: bool) -> Element:
