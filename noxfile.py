@@ -137,7 +137,7 @@ def docs_figures(session: nox.Session) -> None:
 def browser(session: nox.Session) -> None:
     """A report and the site of ``docs`` in Chromium, which must be installed; ``-- -k looks``."""
     install(session, "-e", ".", "--group", "test")
-    pages = ("tests/browser_report.py", "tests/browser_site.py")
+    pages = ("tests/report/browser_report.py", "tests/documentation/browser_site.py")
     session.run("pytest", *pages, *session.posargs, env=os.environ | ENV)
 
 
@@ -164,11 +164,11 @@ def peers(session: nox.Session) -> None:
 def stress(session: nox.Session) -> None:
     """Kill 50 runs at random moments; each is resumed and ends with the same table."""
     install(session, "-e", ".[xdist]")
-    session.run("python", "tests/stress_kills.py", *session.posargs, env=ENV)
+    session.run("python", "tests/session/stress_kills.py", *session.posargs, env=ENV)
 
 
 @nox.session
 def stress_timing(session: nox.Session) -> None:
     """Find a planted slow-down of 30 %, and none where there is none, on a busy machine."""
     install(session, "-e", ".")
-    session.run("python", "tests/stress_timing.py", *session.posargs, env=ENV)
+    session.run("python", "tests/timing/stress_timing.py", *session.posargs, env=ENV)

@@ -20,7 +20,6 @@ from method_adapters._crop import NoAnswerError
 from method_adapters._declaration import port_info
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._particle_filter import Belief, View, first_belief, next_belief
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.stages import stage
 from pytest_cpas.types import (
     CATEGORIES,
@@ -30,6 +29,7 @@ from pytest_cpas.types import (
     Observation,
     Prediction,
 )
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 if TYPE_CHECKING:
     from method_adapters._networks.icaps import Shape

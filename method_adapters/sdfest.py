@@ -20,7 +20,6 @@ from method_adapters._declaration import port_info
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._sdfest_configuration import Configuration, read_configuration, released
 from method_adapters._so3_grid import rotation_grid
-from pytest_cpas.frames import OPENCV_FROM_OPENGL
 from pytest_cpas.metrics import sample_surface
 from pytest_cpas.stages import stage
 from pytest_cpas.types import (
@@ -33,6 +32,7 @@ from pytest_cpas.types import (
     Pose,
     Prediction,
 )
+from pytest_cpas.types.frames import OPENCV_FROM_OPENGL
 
 if TYPE_CHECKING:
     from method_adapters._networks.sdfest import InitNet, SdfVae

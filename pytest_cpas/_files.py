@@ -1,10 +1,19 @@
-"""Writing files."""
+"""Files of our own: where they are kept, and how they are written."""
 
 from __future__ import annotations
 
 import json
 import os
 from pathlib import Path
+
+import platformdirs
+
+
+def cache_folder() -> Path:
+    """Where what can be made again is kept: ``CPAS_CACHE``, or the user's cache; it need not
+    exist."""
+    named = os.environ.get("CPAS_CACHE")
+    return Path(named) if named else platformdirs.user_cache_path("pytest-cpas")
 
 
 def toml_string(text: str) -> str:

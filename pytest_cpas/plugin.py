@@ -1,7 +1,7 @@
 """pytest options and the hooks that must exist before anything is known about a run.
 
-Everything else is in :mod:`pytest_cpas.session`, which is imported only when an option of ours
-is given: people install this plugin beside unrelated projects.
+Everything else is in :mod:`pytest_cpas.session`, which is imported only when an option of ours is
+given: people install this plugin beside unrelated projects.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from syrupy.assertion import SnapshotAssertion
 
-    from pytest_cpas.snapshot import GoldenAssertion
+    from pytest_cpas.golden.snapshot import GoldenAssertion
 
 #: What runs methods, judges samples, or takes only some of them.
 _METHOD = ("--cpas-method",)
@@ -268,7 +268,7 @@ def cpas_golden(snapshot: SnapshotAssertion) -> GoldenAssertion:
 
     Which one follows from the table's method and data set; ``--snapshot-update`` records it.
     """
-    from pytest_cpas.snapshot import GoldenAssertion, GoldenExtension
+    from pytest_cpas.golden.snapshot import GoldenAssertion, GoldenExtension
 
     return GoldenAssertion(
         session=snapshot.session,
@@ -292,19 +292,19 @@ def pytest_configure(config: pytest.Config) -> None:
         or options.cpas_predictions
         or options.cpas_merge
     ):
-        from pytest_cpas.session import CpasSession
+        from pytest_cpas.session.method_session import CpasSession
 
         config.pluginmanager.register(CpasSession(config), "cpas-session")
     if options.cpas_metrics:
-        from pytest_cpas.checks.metrics.session import MetricsSession
+        from pytest_cpas.session.metrics_session import MetricsSession
 
         config.pluginmanager.register(MetricsSession(config), "cpas-metrics-session")
     if options.cpas_check_dataset:
-        from pytest_cpas.checks.dataset.session import DatasetSession
+        from pytest_cpas.session.dataset_session import DatasetSession
 
         config.pluginmanager.register(DatasetSession(config), "cpas-dataset-session")
     if options.cpas_benchmark:
-        from pytest_cpas.timing.session import SpeedSession
+        from pytest_cpas.session.speed_session import SpeedSession
 
         config.pluginmanager.register(SpeedSession(config), "cpas-speed-session")
 

@@ -7,7 +7,7 @@ import hypothesis  # noqa: F401 - else every run of pytest in this process impor
 import pytest
 from harness import RUN
 
-import pytest_cpas.session  # noqa: F401 - runs in this process must share our modules
+import pytest_cpas.session.method_session  # noqa: F401 - runs in this process must share our modules
 
 pytest_plugins = ["pytester"]
 

@@ -3,7 +3,7 @@
 import pytest
 from harness import RUN
 
-from pytest_cpas._cache import cache_folder
+from pytest_cpas._files import cache_folder
 from pytest_cpas.cli import main
 
 #: The user's, before pytester gives each test a home of its own: the data set is made there once.

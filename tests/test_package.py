@@ -100,7 +100,7 @@ def test_metrics_import_without_pytest_and_heavy_extras(tmp_path):
 
 
 def test_runs_of_methods_do_not_import_the_search_for_counterexamples(tmp_path):
-    code = "import sys, pytest_cpas.session; print('hypothesis' in sys.modules)"
+    code = "import sys, pytest_cpas.session.method_session; print('hypothesis' in sys.modules)"
     assert run_python(code, tmp_path).strip() == "False"
 
 
@@ -117,13 +117,13 @@ def test_wheel_holds_everything(tmp_path):
         "pytest_cpas/py.typed",
         "pytest_cpas/suite/test_samples.py",
         "pytest_cpas/adapter_template/method.py.template",
-        "pytest_cpas/sources.toml",
+        "pytest_cpas/datasets/sources.toml",
         "pytest_cpas/report/schema.json",
         "pytest_cpas/report/page/page.css",
         "pytest_cpas/report/page/page.js",
         "pytest_cpas/datasets/real275.known.toml",
-        "pytest_cpas/golden/recorded/icp/synthetic-tabletop/table.toml",
-        "pytest_cpas/golden/recorded/icp/synthetic-handheld/samples.csv",
+        "pytest_cpas/shipped_golden/recorded/icp/synthetic-tabletop/table.toml",
+        "pytest_cpas/shipped_golden/recorded/icp/synthetic-handheld/samples.csv",
         "method_adapters/py.typed",
         "method_adapters/icp_priors.npz",
     } <= names

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
-from pytest_cpas.checks.dataset.report import draw_up_axes
 from pytest_cpas.datasets.redwood import Redwood75
+from pytest_cpas.report.dataset import draw_up_axes
 
 
 def main(data: Path) -> None:

@@ -21,10 +21,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pytest_cpas._cache import cache_folder
-from pytest_cpas.datasets._files import names, parse_json, regular
-from pytest_cpas.datasets._images import image_size
+from pytest_cpas._files import cache_folder
+from pytest_cpas.reading.images import image_size
+from pytest_cpas.reading.paths import names, parse_json, regular
 from pytest_cpas.types import ContractError, SampleRef
+
+#: The packages whose code decides what is listed of every tree.
+_ROOMS = ("datasets", "reading")
 
 #: Seconds. A tree changed so recently may change again without its times telling.
 SETTLED = 2.0
@@ -151,13 +154,15 @@ def read_index(
 ) -> Index:
     """The index of the tree at ``root``, from the cache if nothing has changed since.
 
-    ``sources``: the files whose code decides what ``scan`` finds, beside those of this package. A
+    ``sources``: the files whose code decides what ``scan`` finds, beside :data:`_ROOMS`. A
     cache that cannot be written is done without.
     """
     key = hashlib.sha256(os.fsencode(root.resolve())).hexdigest()[:24]
     file = cache_folder() / "index" / f"{name}-{key}.json"
     code = hashlib.sha256()
-    for source in sorted({*map(str, Path(__file__).parent.glob("*.py")), *sources}):
+    package = Path(__file__).parents[1]
+    ours = (path for room in _ROOMS for path in (package / room).glob("*.py"))
+    for source in sorted({*map(str, ours), *sources}):
         code.update(Path(source).read_bytes())
     recipe = code.hexdigest()
     kept = _read_kept(file, root, recipe)

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.datasets._images import read_ids
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._meshes import read_mesh
-from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._tree import Tree
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.datasets.rendering import hidden, render
+from pytest_cpas.reading.images import read_ids
+from pytest_cpas.reading.meshes import read_mesh
+from pytest_cpas.reading.numbers import numbers
 from pytest_cpas.types import (
     Array,
     Camera,

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas.datasets._images import read_depth, read_ids, read_rgb
 from pytest_cpas.datasets._index import Scan, read_index
-from pytest_cpas.sources import how_to_get
+from pytest_cpas.datasets.sources import how_to_get
+from pytest_cpas.reading.images import read_depth, read_ids, read_rgb
 from pytest_cpas.types import GroundTruth, Sample, SampleRef
 
 

@@ -29,11 +29,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pytest_cpas.datasets._files import natural, parse_json, regular
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._meshes import read_mesh
-from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
+from pytest_cpas.reading.meshes import read_mesh
+from pytest_cpas.reading.numbers import numbers, whole
+from pytest_cpas.reading.paths import natural, parse_json, regular
 from pytest_cpas.types import Array, Camera, ContractError, Mesh, Pose, SampleRef, Symmetry
 
 #: Objects of which a smaller part is visible are not judged (BOP Challenge 2019).

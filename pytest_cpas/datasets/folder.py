@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pytest_cpas.datasets._files import below
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._meshes import read_mesh
-from pytest_cpas.datasets._numbers import numbers, quaternion_rotation, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.reading.meshes import read_mesh
+from pytest_cpas.reading.numbers import numbers, quaternion_rotation, whole
+from pytest_cpas.reading.paths import below
 from pytest_cpas.types import Camera, ContractError, Mesh, SampleRef, Symmetry
 
 _TABLE = "samples.csv"

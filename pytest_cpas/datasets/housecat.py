@@ -25,13 +25,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pytest_cpas._safe_pickle import load_numpy_pickle
-from pytest_cpas.datasets._files import natural
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.reading.numbers import numbers, whole
+from pytest_cpas.reading.paths import natural
+from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import ContractError, SampleRef, Symmetry
 
 CATEGORIES = (

@@ -27,13 +27,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas._safe_pickle import load_numpy_pickle
-from pytest_cpas.datasets._files import natural, regular
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._meshes import read_mesh
-from pytest_cpas.datasets._numbers import numbers
 from pytest_cpas.datasets._tree import Tree, find_root
-from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
+from pytest_cpas.reading.meshes import read_mesh
+from pytest_cpas.reading.numbers import numbers
+from pytest_cpas.reading.paths import natural, regular
+from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import (
     CATEGORIES,
     Array,
@@ -47,6 +46,7 @@ from pytest_cpas.types import (
     SampleRef,
     Symmetry,
 )
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
 
 REAL_CAMERA = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
 

@@ -29,12 +29,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.datasets._images import read_depth, read_ids, read_rgb
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._meshes import read_mesh
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import REAL_CAMERA, Listed, NocsTree, symmetry_of
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
+from pytest_cpas.reading.images import read_depth, read_ids, read_rgb
+from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama
 from pytest_cpas.types import (
     Camera,
@@ -44,6 +43,7 @@ from pytest_cpas.types import (
     Pose,
     SampleRef,
 )
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 CAMERA_CAMERA = Camera(640, 480, 577.5, 577.5, 319.5, 239.5)
 

@@ -32,13 +32,13 @@ from typing import Any
 
 import numpy as np
 
-from pytest_cpas.datasets._files import natural
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
-from pytest_cpas.frames import SHAPENET_FROM_Z_UP, permute_extents
+from pytest_cpas.reading.numbers import numbers, whole
+from pytest_cpas.reading.paths import natural
 from pytest_cpas.types import ContractError, SampleRef
+from pytest_cpas.types.frames import SHAPENET_FROM_Z_UP, permute_extents
 
 _TAXONOMY = "class_obj_taxonomy.json"
 

@@ -23,14 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from pytest_cpas.datasets._files import below
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers, quaternion_rotation
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
-from pytest_cpas.frames import permute_extents
-from pytest_cpas.sources import how_to_get
+from pytest_cpas.datasets.sources import how_to_get
+from pytest_cpas.reading.numbers import numbers, quaternion_rotation
+from pytest_cpas.reading.paths import below
 from pytest_cpas.types import Camera, ContractError, Sample, SampleRef
+from pytest_cpas.types.frames import permute_extents
 
 REDWOOD_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 

@@ -52,13 +52,13 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
-from pytest_cpas._cache import cache_folder
+from pytest_cpas._files import cache_folder
 from pytest_cpas.datasets import _scenes, rendering, shapes
 from pytest_cpas.datasets._scenes import SCENERY, HandheldScene, Item, TabletopScene
 from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree
 from pytest_cpas.datasets.rendering import Rendering, camera_rays, render
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.types import Array, Camera
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 __all__ = [
     "HANDHELD",

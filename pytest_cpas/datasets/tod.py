@@ -30,15 +30,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pytest_cpas.datasets._files import natural, regular
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.frames import SHAPENET_FROM_Z_UP
+from pytest_cpas.reading.numbers import numbers, whole
+from pytest_cpas.reading.paths import natural, regular
 from pytest_cpas.similarity import rigid
 from pytest_cpas.types import Array, ContractError, SampleRef, Symmetry
+from pytest_cpas.types.frames import SHAPENET_FROM_Z_UP
 
 CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
 

@@ -21,14 +21,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas._safe_pickle import load_numpy_pickle
-from pytest_cpas.datasets._files import natural
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._numbers import numbers, whole
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
-from pytest_cpas.frames import NOCS_FROM_SHAPENET, permute_extents
+from pytest_cpas.reading.numbers import numbers, whole
+from pytest_cpas.reading.paths import natural
+from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import ContractError, SampleRef
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
 
 CATEGORIES = ("bottle", "bowl", "camera", "laptop", "mug")
 

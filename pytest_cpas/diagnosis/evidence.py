@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.estimates import Estimates
-from pytest_cpas.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL, permute_extents
+from pytest_cpas.evaluation.estimates import Estimates
 from pytest_cpas.metrics.boxes import symmetric_iou
 from pytest_cpas.types import Array, GroundTruth, MethodInfo, Symmetry
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL, permute_extents
 
 Bools = NDArray[np.bool_]
 

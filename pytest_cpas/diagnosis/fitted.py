@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pytest_cpas.diagnosis.evidence import Evidence
 from pytest_cpas.diagnosis.mistakes import Mistake, Undo, shifted
-from pytest_cpas.estimates import Estimates
-from pytest_cpas.frames import permute_extents
+from pytest_cpas.evaluation.estimates import Estimates
 from pytest_cpas.types import Array
+from pytest_cpas.types.frames import permute_extents
 
 #: A factor nearer to 1 than this is an error of the method, not of its units.
 _FACTOR = 0.1

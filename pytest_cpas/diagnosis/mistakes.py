@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas.diagnosis.evidence import Evidence
-from pytest_cpas.estimates import Estimates
-from pytest_cpas.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL, permute_extents
+from pytest_cpas.evaluation.estimates import Estimates
 from pytest_cpas.types import Array
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL, permute_extents
 
 Undo = Callable[[Estimates], Estimates]
 

@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 
 from pytest_cpas.diagnosis.evidence import BOX_IOU, Evidence
 from pytest_cpas.diagnosis.search import Finding, diagnose
-from pytest_cpas.estimates import decode_estimates
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run, evenly
+from pytest_cpas.evaluation import THRESHOLDS, Row, Run
+from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.golden import RunTable
-from pytest_cpas.published import published_cells
+from pytest_cpas.golden.published import published_cells
 from pytest_cpas.types import ContractError, GroundTruth, SampleRef
+from pytest_cpas.types.samples import evenly
 
 #: A run is diagnosed if a precision is below this share of the golden one, ...
 FAR_BELOW = 0.5

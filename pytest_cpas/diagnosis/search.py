@@ -20,7 +20,7 @@ from scipy.special import betainc
 from pytest_cpas.diagnosis.evidence import ANGLE_DEG, BOX_IOU, DISTANCE_M, Bools, Evidence, finite
 from pytest_cpas.diagnosis.fitted import fitted_lengths, fitted_offsets, part_flips, wrong_boxes
 from pytest_cpas.diagnosis.mistakes import READINGS, Mistake, cameras, object_frames, units
-from pytest_cpas.estimates import Estimates
+from pytest_cpas.evaluation.estimates import Estimates
 from pytest_cpas.metrics.precision import Count
 
 #: An explanation must make at least this share of the answers correct that were not.

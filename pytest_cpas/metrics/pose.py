@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pytest_cpas.types import ORTHONORMAL_TOLERANCE, ContractError, Symmetry
+from pytest_cpas.types import ContractError, Symmetry
+from pytest_cpas.types.geometry import ORTHONORMAL_TOLERANCE
 
 __all__ = ["rotation_error", "translation_error"]
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from pytest_cpas.evaluation import DEFINITIONS, THRESHOLDS
 from pytest_cpas.golden import TableSample, differences
+from pytest_cpas.golden.spread import fewer, more
 from pytest_cpas.report.document import Document, flip_document
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.report.words import run_name
-from pytest_cpas.spread import fewer, more
 
 #: What two runs must have in common to be compared.
 _SAME = frozenset({"data", *DEFINITIONS})

@@ -16,12 +16,11 @@ from typing import Any
 
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.comparison import Verdict
 from pytest_cpas.diagnosis import Finding
 from pytest_cpas.evaluation import THRESHOLDS, Run, Table
 from pytest_cpas.golden import RunTable, TableSample, differences
-from pytest_cpas.metrics.precision import Count, curve
-from pytest_cpas.published import (
+from pytest_cpas.golden.comparison import Verdict
+from pytest_cpas.golden.published import (
     PublishedCell,
     count_problems,
     published_cells,
@@ -31,6 +30,7 @@ from pytest_cpas.published import (
     published_name,
     published_time,
 )
+from pytest_cpas.metrics.precision import Count, curve
 
 FORMAT = 1
 

@@ -7,11 +7,11 @@ import io
 import itertools
 from collections.abc import Iterator, Sequence
 
+from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
 from pytest_cpas.report.words import method_title
-from pytest_cpas.robustness import perturbation_of
 
 #: Data sets beside each other in a table.
 _BESIDE = 2

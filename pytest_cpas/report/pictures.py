@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from pytest_cpas.estimates import decode_estimates
+from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.evaluation import MethodRun, Row, Run
+from pytest_cpas.evaluation.estimates import decode_estimates
+from pytest_cpas.evaluation.results import MergedRun
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.reconstruction import (
     ESTIMATE_COLOUR,
@@ -20,8 +22,6 @@ from pytest_cpas.report.reconstruction import (
     TRUTH_COLOUR,
     reconstruction,
 )
-from pytest_cpas.results import MergedRun
-from pytest_cpas.robustness import perturbation_of
 from pytest_cpas.types import Array, Camera, ContractError, Sample, SampleRef
 
 #: Pictures of one run, and of a report: a page of that many shall stay below 10 MB.

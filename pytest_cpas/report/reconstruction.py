@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.estimates import decode_estimates, decode_shape
+from pytest_cpas.evaluation.estimates import decode_estimates, decode_shape
 from pytest_cpas.metrics.surfaces import Surface
 from pytest_cpas.types import Array, Sample
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import pytest
 
+from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, UNPERTURBED, perturbation_of
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.terminal import print_table
-from pytest_cpas.robustness import PERTURBATIONS, SEVERITIES, UNPERTURBED, perturbation_of
 
 
 def print_curves(terminal: pytest.TerminalReporter, runs: Sequence[Document]) -> None:

@@ -7,12 +7,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.document import Document
 from pytest_cpas.report.tables import as_cell
 from pytest_cpas.report.words import method_title, seconds_words
-from pytest_cpas.robustness import perturbation_of
 
 #: Pairs of data sets that a page shows.
 PAIRS = 6

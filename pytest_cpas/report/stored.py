@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import cast
 
 from pytest_cpas.evaluation import THRESHOLDS, Row, SampleError
+from pytest_cpas.evaluation.results import MergedRun, merge
 from pytest_cpas.golden import RunTable
 from pytest_cpas.report.document import FORMAT, Document, run_document
-from pytest_cpas.results import MergedRun, merge
 
 
 class StoredReportError(Exception):
@@ -61,7 +61,7 @@ def read_runs(paths: Sequence[Path]) -> list[Document]:
     """The documents of the runs in reports (``.json``) and results files.
 
     The results files of the shards of a run are put together; parts may be missing. Raises
-    :class:`StoredReportError`, and :class:`pytest_cpas.results.ResultsError`.
+    :class:`StoredReportError`, and :class:`pytest_cpas.evaluation.results.ResultsError`.
     """
     reports = [path for path in paths if path.suffix == ".json"]
     results = [path for path in paths if path.suffix != ".json"]

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_cpas.checks.dataset.orientations import REACH, lambert, up_axis_spread
+from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.diagnosis.running import MOST_TRUTHS
-from pytest_cpas.estimates import decode_estimates
-from pytest_cpas.evaluation import Row, Run, evenly
+from pytest_cpas.evaluation import Row, Run
+from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.document import Document
-from pytest_cpas.robustness import perturbation_of
 from pytest_cpas.types import Array, ContractError
+from pytest_cpas.types.samples import evenly
 
 #: Directions of a document, evenly spaced in the order of the samples.
 SHOWN = 400

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_cpas._suite_session import grouped
 from pytest_cpas.checks.dataset.facts import Survey
-from pytest_cpas.checks.dataset.session import FOUND, Checked, DatasetSession
+from pytest_cpas.session.dataset_session import FOUND, Checked, DatasetSession
+from pytest_cpas.session.suite_session import grouped
 from pytest_cpas.types import SampleRef
 
 

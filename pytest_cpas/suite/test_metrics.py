@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pytest_cpas.checks.metrics import PROPERTIES, Property, Subject, check, replay
-from pytest_cpas.checks.metrics.session import RESULT, MetricsSession
 from pytest_cpas.checks.outcome import Outcome
+from pytest_cpas.session.metrics_session import RESULT, MetricsSession
 
 
 def _session(config: pytest.Config) -> MetricsSession:

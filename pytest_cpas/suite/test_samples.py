@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_cpas._suite_session import grouped
 from pytest_cpas.checks.contract import CONTRACT, ContractCheck
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.evaluation import Run, SampleError
-from pytest_cpas.published import count_problems
-from pytest_cpas.session import FOUND, Found, cpas_session
+from pytest_cpas.golden.published import count_problems
+from pytest_cpas.session.method_session import FOUND, Found, cpas_session
+from pytest_cpas.session.suite_session import grouped
 from pytest_cpas.types import SampleRef
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from pytest_cpas.evaluation import MethodError
+from pytest_cpas.session.speed_session import MEASURED, speed_session
 from pytest_cpas.timing.records import RecordError
 from pytest_cpas.timing.running import SpeedRun
-from pytest_cpas.timing.session import MEASURED, speed_session
 from pytest_cpas.timing.workers import TimingError
 from pytest_cpas.types import ContractError
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.published import published_time
+from pytest_cpas.golden.published import published_time
 from pytest_cpas.timing.calibration import Calibration, kernel_for
 from pytest_cpas.timing.comparison import Comparison, WithRecord, WithRival
 from pytest_cpas.timing.contestant import Contestant, write_observations

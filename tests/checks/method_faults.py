@@ -26,12 +26,12 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_info
 
 from pytest_cpas.checks.contract import CONTRACT
-from pytest_cpas.checks.contract.stage import ContractStage
 from pytest_cpas.diagnosis.running import diagnose_run
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL
 from pytest_cpas.golden import RunTable
+from pytest_cpas.session.contract_stage import ContractStage
 from pytest_cpas.types import CATEGORIES, Hypothesis, Mesh, Observation, Prediction
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, OPENCV_FROM_OPENGL
 
 DIAGNOSIS = "diagnosis: "
 

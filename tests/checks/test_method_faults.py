@@ -6,8 +6,8 @@ from method_faults import DIAGNOSIS, FAULTS
 from planted import Planted, Scenes
 
 from pytest_cpas.checks.contract import CONTRACT
-from pytest_cpas.checks.contract.stage import ContractStage
 from pytest_cpas.evaluation import MethodRun, Selection
+from pytest_cpas.session.contract_stage import ContractStage
 
 CAUGHT_BY_CHECKS = [planted for planted in FAULTS if planted.by in CONTRACT]
 

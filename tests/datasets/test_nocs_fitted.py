@@ -10,8 +10,8 @@ from trees import Frame, check, frame, save, save_obj
 
 from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree, Real275
 from pytest_cpas.datasets.nocs_fitted import CAMERA_CAMERA, Camera25, FittedTree, RealTrain
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.types import ContractError
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 CLASS_IDS = {"bowl": 2, "mug": 6}
 SYNSETS = {"bowl": "02880940", "mug": "03797390"}

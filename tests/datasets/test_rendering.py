@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas._safe_pickle import load_numpy_pickle
 from pytest_cpas.datasets import shapes
 from pytest_cpas.datasets.nocs import REAL_CAMERA
 from pytest_cpas.datasets.rendering import camera_rays, render
+from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import Array, Camera, Mesh, Pose
 
 SMALL = Camera(64, 48, 60.0, 55.0, 30.5, 25.25)

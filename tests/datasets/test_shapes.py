@@ -8,8 +8,8 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas.datasets import shapes
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.types import CATEGORIES, Array, Mesh
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 
 def instances(category: str) -> list[Mesh]:

@@ -33,8 +33,8 @@ from method_adapters._networks.icaps_refinement import Refiner
 from method_adapters._particle_filter import View
 from method_adapters.icaps import _ASSETS, RATIOS, ICaps
 from pytest_cpas.datasets.synthetic import SyntheticHandheld
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.types import CATEGORIES, Camera, Observation
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 NETWORKS = {"icaps_aae": AutoEncoder, "icaps_latentnet": LatentNet, "icaps_deepsdf": DeepSdf}
 SEED = 4

@@ -12,9 +12,9 @@ import torch
 import method_adapters
 from pytest_cpas.datasets.nocs import Real275
 from pytest_cpas.evaluation import check_answers, measure
-from pytest_cpas.frames import to_standard
 from pytest_cpas.timing.contestant import Contestant
 from pytest_cpas.types import CATEGORIES, Observation
+from pytest_cpas.types.frames import to_standard
 
 
 @pytest.fixture(scope="module", params=cases.METHODS)

@@ -10,8 +10,8 @@ from method_adapters._crop import Crop, NoAnswerError
 from method_adapters._networks import cass as cass_network
 from method_adapters._networks import heads, pspnet
 from method_adapters.cass import Cass, Inputs, crop_around
-from pytest_cpas.frames import to_standard
 from pytest_cpas.types import Camera, Observation
+from pytest_cpas.types.frames import to_standard
 
 
 def test_every_output_and_tap_of_the_original(shared_ports):

@@ -21,8 +21,8 @@ from method_adapters._networks.icaps_refinement import Placed, Refiner
 from method_adapters._particle_filter import View
 from method_adapters.icaps import ICaps
 from pytest_cpas.evaluation import check_answers
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
 from pytest_cpas.types import Observation
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 real_roi_align = roi_align.roi_align
 POSITION, UNIT = np.array([0.12, -0.06, 0.7]), 0.05

@@ -14,8 +14,8 @@ from method_adapters._networks import rbppose as rbppose_network
 from method_adapters._networks.rbppose import RbpPoseNet
 from method_adapters._prior_method import MUG_OFFSET
 from method_adapters.rbppose import Inputs, RbpPose, resampled_pixels, rotation_between
-from pytest_cpas.frames import to_standard
 from pytest_cpas.types import CATEGORIES, Camera, Observation
+from pytest_cpas.types.frames import to_standard
 
 KEPT = ("obs_1", "obs_2", "prior_1", "prior_2")
 

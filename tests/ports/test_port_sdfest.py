@@ -13,12 +13,12 @@ from method_adapters._crop import NoAnswerError
 from method_adapters._sdf_renderer import Placement, rotation_matrix
 from method_adapters._sdfest_estimation import Estimate, View, first_estimate, refine
 from method_adapters._so3_grid import rotation_grid
-from pytest_cpas.datasets._images import read_depth
 from pytest_cpas.datasets.nocs import REAL_CAMERA, Real275
 from pytest_cpas.datasets.rendering import hidden, render
 from pytest_cpas.evaluation import check_answers, measure
-from pytest_cpas.frames import NOCS_FROM_SHAPENET
+from pytest_cpas.reading.images import read_depth
 from pytest_cpas.types import CATEGORIES, ContractError, Observation, Pose, Sample, SampleRef
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 HERE = Pose(np.eye(3), np.zeros(3))
 

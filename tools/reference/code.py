@@ -27,11 +27,18 @@ API: dict[str, tuple[str, ...]] = {
         "outcomes",
     ),
     "pytest_cpas.golden": ("RunTable", "TableSample", "GoldenError", "find_golden", "record"),
-    "pytest_cpas.comparison": ("compare", "Verdict", "Word"),
-    "pytest_cpas.published": ("published_cells", "published_curves", "compare_published"),
-    "pytest_cpas.predictions": ("StoredRun", "read_frames", "assign_detections"),
-    "pytest_cpas.results": ("read_results", "Results", "Header", "Shard", "merge", "ResultsError"),
-    "pytest_cpas.robustness": ("perturbed",),
+    "pytest_cpas.golden.comparison": ("compare", "Verdict", "Word"),
+    "pytest_cpas.golden.published": ("published_cells", "published_curves", "compare_published"),
+    "pytest_cpas.evaluation.predictions": ("StoredRun", "read_frames", "assign_detections"),
+    "pytest_cpas.evaluation.results": (
+        "read_results",
+        "Results",
+        "Header",
+        "Shard",
+        "merge",
+        "ResultsError",
+    ),
+    "pytest_cpas.datasets.perturbed": ("perturbed",),
     "pytest_cpas.checks.outcome": ("Outcome", "Finding"),
     "pytest_cpas.checks.contract": (),
     "pytest_cpas.checks.dataset": (),
@@ -39,7 +46,7 @@ API: dict[str, tuple[str, ...]] = {
     "pytest_cpas.checks.metrics": (),
     "pytest_cpas.diagnosis": (),
     "pytest_cpas.stages": ("stage",),
-    "pytest_cpas.fetch": (),
+    "pytest_cpas.fetching.fetch": (),
 }
 
 _METRICS = metrics.__name__

@@ -7,7 +7,7 @@ import pytest
 
 from pytest_cpas.checks.dataset.verdicts import Word as DatasetWord
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.comparison import Verdict, Word
+from pytest_cpas.golden.comparison import Verdict, Word
 from pytest_cpas.timing.verdicts import Verdict as SpeedVerdict
 from pytest_cpas.timing.verdicts import Word as SpeedWord
 from reference.code import doc_comments

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.evaluation import check_answers
-from pytest_cpas.frames import to_standard
 from pytest_cpas.types import (
     Array,
     ContractError,
@@ -28,6 +27,7 @@ from pytest_cpas.types import (
     Prediction,
     Sample,
 )
+from pytest_cpas.types.frames import to_standard
 
 __all__ = [
     "CONTRACT",

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from pytest_cpas.checks.contract.checking import MethodSubject, NotCheckedError, contract
 from pytest_cpas.checks.outcome import Finding, Outcome
-from pytest_cpas.frames import to_standard
 from pytest_cpas.metrics.pose import rotation_error
 from pytest_cpas.types import (
     Array,
@@ -30,6 +29,7 @@ from pytest_cpas.types import (
     Sample,
     Symmetry,
 )
+from pytest_cpas.types.frames import to_standard
 
 __all__ = [
     "check_distance",

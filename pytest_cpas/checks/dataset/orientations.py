@@ -52,10 +52,11 @@ def up_axis_spread(up: Array) -> Spread:
 
 
 def lambert(up: Array) -> Array:
-    """Lambert's equal-area projection (n, 2), to the unit disc, of unit vectors (n, 3), camera frame.
+    """Lambert's equal-area projection (n, 2), to the unit disc, of unit vectors (n, 3).
 
-    To the right and down on paper: the middle is the image's up (-y), the rim its down; to the
-    right is the camera's right (+x), below the middle is what points towards the camera (-z).
+    Camera frame; to the right and down on paper: the middle is the image's up (-y), the rim its
+    down; to the right is the camera's right (+x), below the middle is what points towards the
+    camera (-z).
     """
     x, y, z = up.T
     # |(x, z)| is sin(theta), theta measured from -y; the projection has the radius 2 sin(theta / 2)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from pytest_cpas.checks.dataset.facts import ImageFacts, MeshFacts, SampleFacts, Survey
 from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
-from pytest_cpas.published import count_problems, published_sample_counts
+from pytest_cpas.golden.published import count_problems, published_sample_counts
 
 __all__ = ["CHECKS", "Check", "Problem"]
 

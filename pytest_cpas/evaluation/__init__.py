@@ -1,0 +1,65 @@
+"""Method times data set gives rows, one per sample; rows give the table."""
+
+from pytest_cpas.evaluation.estimates import (
+    decode_estimates,
+    decode_shape,
+    encode_estimate,
+    encode_shape,
+)
+from pytest_cpas.evaluation.measuring import measure
+from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
+from pytest_cpas.evaluation.predictions import StoredRun, assign_detections, read_frames
+from pytest_cpas.evaluation.results import (
+    Header,
+    MergedRun,
+    Results,
+    ResultsError,
+    ResultsFile,
+    Shard,
+    merge,
+    read_results,
+)
+from pytest_cpas.evaluation.rows import (
+    DEFINITIONS,
+    FSCORE_DISTANCE,
+    THRESHOLDS,
+    Row,
+    Table,
+    failed_row,
+    outcomes,
+    precision_table,
+)
+from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+
+__all__ = [
+    "DEFINITIONS",
+    "FSCORE_DISTANCE",
+    "THRESHOLDS",
+    "Header",
+    "MergedRun",
+    "MethodError",
+    "MethodRun",
+    "Results",
+    "ResultsError",
+    "ResultsFile",
+    "Row",
+    "Run",
+    "SampleError",
+    "Selection",
+    "Shard",
+    "StoredRun",
+    "Table",
+    "assign_detections",
+    "check_answers",
+    "decode_estimates",
+    "decode_shape",
+    "encode_estimate",
+    "encode_shape",
+    "failed_row",
+    "measure",
+    "merge",
+    "outcomes",
+    "precision_table",
+    "read_frames",
+    "read_results",
+]

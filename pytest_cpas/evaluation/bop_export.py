@@ -1,0 +1,50 @@
+"""Stored results of a run on a data set in BOP format as the file that BOP's evaluation reads."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from pytest_cpas.datasets.bop import find_models, find_split, object_number, read_models
+from pytest_cpas.evaluation.estimates import decode_estimates
+from pytest_cpas.evaluation.results import ResultsError, read_results
+
+HEADER = "scene_id,im_id,obj_id,score,R,t,time"
+
+
+def export_bop(results: Path, data: Path, target: Path) -> int:
+    """Write the estimates of a results file to ``target``; returns how many there are.
+
+    ``data``: the folder of the data set, whose models say where BOP's origin is. One line for each
+    estimate: rotation row by row, translation in millimetres, score 1, time -1 (not measured).
+    Failed predictions have no line. Raises :class:`ResultsError` if the results are of another
+    data set or without estimates.
+    """
+    read = read_results(results)
+    root, _ = find_split(data)
+    models, _ = read_models(root / find_models(root))
+    rows = [row for row in read.rows.values() if row.failure is None]
+    lines = [HEADER]
+    estimates = decode_estimates([row.estimate for row in rows if row.estimate is not None])
+    if not read.header.dataset.startswith("bop-") or len(estimates.rotation) != len(rows):
+        raise ResultsError(
+            f"{results}: of {read.header.dataset}, {len(estimates.rotation)} estimates in"
+            f" {len(rows)} rows; expected the results of --cpas-dataset bop:DIR with an estimate"
+            " in every row (results of older versions have none: run again)"
+        )
+    for row, rotation, translation in zip(
+        rows, estimates.rotation, estimates.translation, strict=True
+    ):
+        number = object_number(row.category)
+        if number not in models:
+            raise ResultsError(f"{results}: {row.category} is not in the models of {root}")
+        origin = 1000 * (translation - rotation @ models[number].centre)
+        scene, image, _ = row.sample.split("/")
+        r, t = (" ".join(f"{v:.9g}" for v in values) for values in (rotation.ravel(), origin))
+        lines.append(f"{int(scene)},{int(image)},{number},1,{r},{t},-1")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=target.parent, delete=False) as unfinished:
+        unfinished.write("\n".join(lines) + "\n")
+    os.replace(unfinished.name, target)
+    return len(rows)

@@ -1,0 +1,193 @@
+"""A method on a data set."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pytest_cpas.evaluation.estimates import encode_shape
+from pytest_cpas.evaluation.measuring import declared_part, measure
+from pytest_cpas.evaluation.rows import Row, outcomes
+from pytest_cpas.evaluation.runs import Run, SampleError, Selection, has_quick_truth, read_truth
+from pytest_cpas.types import (
+    Camera,
+    ContractError,
+    Dataset,
+    GroundTruth,
+    Method,
+    MethodInfo,
+    Prediction,
+    Sample,
+    SampleRef,
+    assets_of,
+)
+from pytest_cpas.types.frames import to_standard
+
+__all__ = ["MethodError", "MethodRun", "check_answers"]
+
+
+class MethodError(Exception):
+    """A method cannot be loaded."""
+
+
+class MethodRun(Run):
+    """A method on a data set. The method is loaded at its first sample, once per process."""
+
+    def __init__(
+        self,
+        method: Method,
+        dataset: Dataset,
+        *,
+        selection: Selection | None = None,
+        weights: Path | None = None,
+        device: str = "cpu",
+        seed: int = 0,
+        seeds: int = 1,
+        shared: MethodRun | None = None,
+        keeps_shapes: bool = False,
+    ) -> None:
+        """List the samples whose category the method knows; nothing is loaded yet.
+
+        Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row. ``shared``:
+        another run of the same method, which is then loaded once for both. ``keeps_shapes``: the
+        rows of samples that are not correct everywhere have the estimated shape, for a picture.
+        """
+        self._method, self._dataset = method, dataset
+        self._weights, self._device = weights, device
+        self.seed, self.seeds, self.shared = seed, seeds, shared
+        self._keeps_shapes = keeps_shapes
+        self.under_contract = shared is None
+        self.info = method.info
+        self.quick_truth = has_quick_truth(dataset)
+        camera = getattr(dataset, "camera", None)
+        self.focal = camera.fx if isinstance(camera, Camera) else None
+        absent: frozenset[str] = getattr(dataset, "absent", frozenset())
+        present = [s for s in dataset.samples if s.id not in absent]
+        known = [s for s in present if s.category in method.info.categories]
+        missing = list(dataset.missing)
+        unknown = sorted({s.category for s in present} - set(method.info.categories))
+        if unknown:
+            missing.append(
+                f"{method.info.name} does not know {', '.join(unknown)}:"
+                f" {len(present) - len(known)} samples left out"
+            )
+        super().__init__(
+            method.info.name,
+            dataset.name,
+            known,
+            selection=selection,
+            missing=missing,
+            damaged=dataset.damaged,
+            identity={
+                "data": dataset.digest,
+                "seed": str(seed),
+                "device": device,
+                **_weights_identity(method, weights),
+            },
+        )
+
+    @functools.cached_property
+    def _load_error(self) -> Exception | None:
+        """Loads the method; what went wrong is remembered, not tried again for every sample."""
+        if self.shared is not None:
+            return self.shared._load_error
+        try:
+            self._method.load(self._weights, self._device)
+        except Exception as error:
+            return error
+        return None
+
+    @property
+    def unloaded(self) -> Method:
+        """The method, loaded or not."""
+        return self._method
+
+    def loaded(self) -> Method:
+        """The method, ready; :class:`MethodError` if it cannot be loaded."""
+        if self._load_error is not None:
+            raise MethodError(f"the method cannot be loaded: {self._load_error}")
+        return self._method
+
+    def fresh(self) -> Method:
+        """Another instance of the method, loaded."""
+        made: Method = type(self._method)()
+        made.load(self._weights, self._device)
+        return made
+
+    def read(self, ref: SampleRef) -> Sample:
+        """One sample; :class:`ContractError` if it is damaged."""
+        return self._dataset.load(ref)
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about one sample; raises :class:`ContractError` if it is damaged."""
+        return read_truth(self._dataset, ref)
+
+    def judge(self, ref: SampleRef) -> Row:
+        """Read, predict, validate, measure."""
+        where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
+        try:
+            sample = self.read(ref)
+        except ContractError as error:
+            raise SampleError(f"{where}: the data is bad: {error}") from None
+        try:
+            method = self.loaded()
+        except MethodError as error:
+            raise SampleError(f"{where}: {error}") from None
+        row, *repeats = [
+            self._judge(method, ref, sample, self.seed + further, where)
+            for further in range(self.seeds)
+        ]
+        return replace(row, repeats=" ".join(outcomes(repeats))) if repeats else row
+
+    def _judge(self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str) -> Row:
+        try:
+            answers = method.predict([sample.observation], seed)
+        except ContractError as error:
+            raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
+        except Exception as error:
+            raise SampleError(f"{where}: the method raised {error!r}") from error
+        try:
+            prediction = check_answers(answers, self._method.info)
+            row = measure([ref], [sample.truth], [prediction], self._method.info)[0]
+            if self._keeps_shapes and "0" in outcomes([row])[0] and prediction.hypotheses:
+                shape = to_standard(prediction.hypotheses[0], self._method.info).shape
+                row = replace(row, shape=None if shape is None else encode_shape(shape))
+            return row
+        except ContractError as error:
+            raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
+
+
+def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
+    """A digest of the files that a method loads; nothing for a method without any."""
+    assets = assets_of(method, folder)
+    if not assets or folder is None:
+        return {}
+    digest = hashlib.sha256()
+    for asset in sorted(assets, key=lambda asset: asset.path):
+        with (folder / asset.path).open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        digest.update(f"{asset.path} {content}\n".encode())
+    return {"weights": digest.hexdigest()[:16]}
+
+
+def check_answers(answers: Sequence[Prediction], info: MethodInfo) -> Prediction:
+    """The one prediction of a batch of one, if it holds what the method declares to give."""
+    if not isinstance(answers, Sequence) or len(answers) != 1:
+        seen = f"{len(answers)} of them" if isinstance(answers, Sequence) else type(answers)
+        raise ContractError(f"predict: {seen}, expected one Prediction for a batch of one")
+    prediction = answers[0]
+    if not isinstance(prediction, Prediction):
+        raise ContractError(f"predict: a {type(prediction).__name__}, expected Prediction")
+    for hypothesis in prediction.hypotheses:
+        for part in ("extents", "shape", "score"):
+            if getattr(hypothesis, part) is not None and part not in info.gives:
+                raise ContractError(
+                    f"hypothesis: {part} is given, but info.gives is {sorted(info.gives)}; declare"
+                    " what is given, or it would not be judged"
+                )
+            if part in info.gives:
+                declared_part(getattr(hypothesis, part), part)
+    return prediction

@@ -1,0 +1,264 @@
+"""Stored predictions as input: what somebody else's run of a method gave.
+
+Three forms are read, all with the field's keys (``gt_class_ids``, ``gt_bboxes``, ``gt_RTs``,
+``gt_scales``, ``pred_class_ids``, ``pred_bboxes``, ``pred_scores``, ``pred_RTs``, ``pred_scales``;
+poses are 4 x 4, rotation times scale, in NOCS object axes):
+
+* a pickle ``results_*_scene_S_NNNN.pkl`` of one frame, or a folder of them;
+* an ``.npz`` with the rows of all frames one after the other, ``frame`` (their names) and
+  ``gt_offset`` / ``pred_offset`` (where each frame's rows begin).
+
+The detections of a frame are assigned to its ground truth per class, one to one, by descending
+2-D box IoU, at least 0.5. A ground truth without a detection counts as not correct.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.evaluation.measuring import measure
+from pytest_cpas.evaluation.rows import Row
+from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.reading.pickles import load_numpy_pickle
+from pytest_cpas.types import (
+    CATEGORIES,
+    Array,
+    ContractError,
+    GroundTruth,
+    Hypothesis,
+    MethodInfo,
+    Pose,
+    Prediction,
+    SampleRef,
+)
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
+
+#: What stored predictions call their data set.
+STORED = "stored"
+
+#: A detection belongs to a ground truth if their 2-D boxes overlap at least this much.
+DETECTION_IOU = 0.5
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "gt_class_ids": (),
+    "gt_bboxes": (4,),
+    "gt_RTs": (4, 4),
+    "gt_scales": (3,),
+    "pred_class_ids": (),
+    "pred_bboxes": (4,),
+    "pred_RTs": (4, 4),
+    "pred_scales": (3,),
+}
+
+Frame = Mapping[str, NDArray[Any]]
+
+
+def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
+    """Yield (name, arrays) per frame, e.g. ``scene_1_0000``.
+
+    Raises :class:`ContractError` naming the file that is damaged, or that is neither form.
+    """
+    if path.is_dir():
+        files = sorted(path.glob("*.pkl"))
+        if not files:
+            raise ContractError(f"{path}: no .pkl files in this folder")
+        for file in files:
+            yield from read_frames(file)
+    elif path.suffix == ".npz":
+        yield from _read_npz(path)
+    elif path.suffix == ".pkl":
+        match = re.search(r"(scene_\d+_\d+)$|_([^_]+_[^_]+)$", path.stem)
+        name = match.group(0).lstrip("_") if match else path.stem
+        yield name, _checked(load_numpy_pickle(path), f"{path}")
+    else:
+        raise ContractError(f"{path}: expected a .pkl, a folder of them, or an .npz")
+
+
+def _read_npz(path: Path) -> Iterator[tuple[str, Frame]]:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise ContractError(f"{path}: not a readable .npz ({error})") from error
+    absent = sorted({"frame", "gt_offset", "pred_offset", *_SHAPES} - set(arrays))
+    if absent:
+        raise ContractError(f"{path}: lacks {', '.join(absent)}")
+    names = arrays["frame"]
+    for side in ("gt", "pred"):
+        offset, count = arrays[f"{side}_offset"], len(arrays[f"{side}_class_ids"])
+        if len(offset) != len(names) + 1 or offset[0] != 0 or offset[-1] != count:
+            raise ContractError(
+                f"{path}: {side}_offset has {len(offset)} entries up to {offset[-1]}, expected"
+                f" {len(names) + 1} from 0 to {count}"
+            )
+    for index, name in enumerate(names.tolist()):
+        rows = {
+            side: slice(arrays[f"{side}_offset"][index], arrays[f"{side}_offset"][index + 1])
+            for side in ("gt", "pred")
+        }
+        frame = {key: arrays[key][rows[key.split("_")[0]]] for key in _SHAPES}
+        yield name, _checked(frame, f"{path}, frame {name}")
+
+
+def _checked(frame: Mapping[str, Any], where: str) -> Frame:
+    checked: dict[str, NDArray[Any]] = {}
+    for key, shape in _SHAPES.items():
+        side = key.split("_")[0]
+        array = frame.get(key)
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
+            raise ContractError(f"{where}: {key} is missing or not an array of numbers")
+        if len(array) == 0:
+            array = array.reshape(0, *shape)  # an empty list is stored as shape (0,)
+        count = len(checked.get(f"{side}_class_ids", array))
+        if array.shape != (count, *shape):
+            raise ContractError(
+                f"{where}: {key} has shape {array.shape}, expected {(count, *shape)}"
+            )
+        checked[key] = array
+    ids = np.concatenate([checked["gt_class_ids"], checked["pred_class_ids"]])
+    if len(ids) and not (ids.min() >= 1 and ids.max() <= len(CATEGORIES)):
+        raise ContractError(
+            f"{where}: class ids run from {ids.min()} to {ids.max()}, expected 1 to"
+            f" {len(CATEGORIES)} ({', '.join(CATEGORIES)})"
+        )
+    return checked
+
+
+def assign_detections(frame: Frame) -> NDArray[np.int64]:
+    """Which detection each ground truth gets, (n,), -1 for none.
+
+    Per class, one to one, by descending 2-D box IoU (boxes are y1, x1, y2, x2 in pixels), at
+    least ``DETECTION_IOU``; ties go to the first.
+    """
+    assigned = np.full(len(frame["gt_class_ids"]), -1)
+    if not len(assigned) or not len(frame["pred_class_ids"]):
+        return assigned
+    truth = frame["gt_bboxes"][:, None].astype(float)
+    found = frame["pred_bboxes"][None].astype(float)
+    overlap = np.minimum(truth[..., 2:], found[..., 2:]) - np.maximum(
+        truth[..., :2], found[..., :2]
+    )
+    common = overlap.clip(min=0).prod(axis=-1)
+    areas = [(boxes[..., 2:] - boxes[..., :2]).prod(axis=-1) for boxes in (truth, found)]
+    union = areas[0] + areas[1] - common
+    iou = np.divide(common, union, out=np.zeros_like(common), where=union > 0)
+    iou[frame["gt_class_ids"][:, None] != frame["pred_class_ids"][None]] = 0
+    for flat in np.argsort(-iou, axis=None, kind="stable"):
+        row, column = divmod(int(flat), iou.shape[1])
+        if iou[row, column] < DETECTION_IOU:
+            break
+        if assigned[row] < 0 and column not in assigned:
+            assigned[row] = column
+    return assigned
+
+
+def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Array]:
+    """Pose and extents (3,), metres, of a (4, 4) similarity and a box relative to its scale."""
+    determinant = float(np.linalg.det(scaled[:3, :3])) if np.isfinite(scaled).all() else np.nan
+    if not determinant > 0:
+        raise ContractError(
+            f"the pose has determinant {determinant:g}, expected the cube of a positive scale"
+        )
+    scale = np.cbrt(determinant)
+    return Pose(scaled[:3, :3] / scale, scaled[:3, 3]), relative.astype(float) * scale
+
+
+class StoredRun(Run):
+    """Stored predictions, judged like the run of a method."""
+
+    def __init__(self, path: Path, *, selection: Selection | None = None) -> None:
+        """Read the file or folder; nothing is judged yet."""
+        self._frames: dict[str, Frame] = {}
+        digest = hashlib.sha256()
+        samples = []
+        for name, frame in read_frames(path):
+            scene, _, number = name.rpartition("_")
+            if name in self._frames:
+                raise ContractError(f"{path}: frame {name} occurs twice")
+            self._frames[name] = frame
+            for key in _SHAPES:
+                if key.startswith("gt"):
+                    digest.update(np.ascontiguousarray(frame[key]).tobytes())
+            for index, class_id in enumerate(frame["gt_class_ids"].tolist()):
+                ref_id = f"{scene}/{number}/gt{index}" if scene else f"{number}/gt{index}"
+                samples.append(SampleRef(ref_id, CATEGORIES[class_id - 1], scene or number))
+        super().__init__(
+            re.sub(r"[^A-Za-z0-9._-]", "-", path.stem if path.is_file() else path.name),
+            STORED,
+            samples,
+            selection=selection,
+            identity={"data": digest.hexdigest()},
+        )
+        self.info: MethodInfo = MethodInfo(
+            self.method,
+            categories=CATEGORIES,
+            needs=frozenset(),
+            gives=frozenset({"extents"}),
+            licence="unknown",
+            object_frame="nocs",
+        )
+
+    def judge(self, ref: SampleRef) -> Row:
+        """The row of one ground truth; raises :class:`SampleError` for a broken pose."""
+        row = self._rows[ref.id]
+        if isinstance(row, ContractError):
+            raise SampleError(f"{self.method}, sample {ref.id} ({ref.category}): {row}")
+        return row
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about one sample."""
+        return self._pair(ref)[0]
+
+    @functools.cached_property
+    def _rows(self) -> dict[str, Row | ContractError]:
+        """All at once: measuring in bulk is what makes large files quick."""
+        rows: dict[str, Row | ContractError] = {}
+        pairs: dict[SampleRef, tuple[GroundTruth, Prediction]] = {}
+        for ref in self.samples:
+            try:
+                pairs[ref] = self._pair(ref)
+            except ContractError as error:
+                rows[ref.id] = error
+        truths = [truth for truth, _ in pairs.values()]
+        predictions = [prediction for _, prediction in pairs.values()]
+        for row in measure(list(pairs), truths, predictions, self.info):
+            rows[row.sample] = row
+        return rows
+
+    def _pair(self, ref: SampleRef) -> tuple[GroundTruth, Prediction]:
+        frame_id, _, last = ref.id.rpartition("/")
+        name, index = frame_id.replace("/", "_"), int(last.removeprefix("gt"))
+        frame = self._frames[name]
+        try:
+            pose, extents = _posed_box(frame["gt_RTs"][index], frame["gt_scales"][index])
+            truth = GroundTruth(
+                Pose(pose.rotation @ NOCS_FROM_SHAPENET, pose.translation),
+                permute_extents(extents, NOCS_FROM_SHAPENET.T),
+                symmetry_of(ref.category),
+            )
+        except ContractError as error:
+            raise ContractError(f"ground truth: {error}") from None
+        detection = int(self._assigned(name)[index])
+        if detection < 0:
+            return truth, Prediction.failed("not detected")
+        try:
+            pose, extents = _posed_box(
+                frame["pred_RTs"][detection], frame["pred_scales"][detection]
+            )
+            return truth, Prediction((Hypothesis(pose.rotation, pose.translation, extents),))
+        except ContractError as error:
+            raise ContractError(f"prediction {detection} of {name}: {error}") from None
+
+    @functools.cache  # noqa: B019 - lives as long as the run
+    def _assigned(self, name: str) -> NDArray[np.int64]:
+        return assign_detections(self._frames[name])

@@ -1,0 +1,102 @@
+"""What a run is: something that judges samples."""
+
+from __future__ import annotations
+
+import platform
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from pytest_cpas.evaluation.rows import DEFINITIONS, Row
+from pytest_cpas.types import Dataset, GroundTruth, MethodInfo, SampleRef
+from pytest_cpas.types.samples import evenly
+
+__all__ = ["Run", "SampleError", "Selection", "has_quick_truth", "read_truth"]
+
+
+class SampleError(Exception):
+    """A sample could not be judged: damaged data, a method that raised, a broken contract."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which samples to judge: those of ``categories`` (all if empty), of them ``limit``, evenly
+    spaced, and of those the ``shard``-th (from 1) of ``shards`` parts."""
+
+    categories: Sequence[str] = ()
+    limit: int | None = None
+    shard: int = 1
+    shards: int = 1
+
+    def of(self, samples: Sequence[SampleRef]) -> list[SampleRef]:
+        """The selected samples, in order."""
+        chosen = [s for s in samples if not self.categories or s.category in self.categories]
+        limited = chosen if self.limit is None else evenly(chosen, self.limit)
+        return limited[self.shard - 1 :: self.shards]
+
+
+class Run(ABC):
+    """Something that judges samples: a method on a data set, or stored predictions.
+
+    ``samples`` are those selected; ``listed`` counts per category what there was to select from.
+    ``missing`` and ``damaged`` as for a data set. ``identity`` holds what must agree for two runs
+    to be comparable, ``provenance`` what else should be known of this one. ``seeds`` is how often
+    each sample is judged. ``info`` is what the method declares, None where only rows are left.
+    ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
+    ``under_contract``: it is a method's first run, which has the checks of the contract.
+    """
+
+    seeds = 1
+    under_contract = False
+    info: MethodInfo | None = None
+    quick_truth = True
+    focal: float | None = None
+
+    provenance: Mapping[str, str] = {
+        "platform": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+    def __init__(
+        self,
+        method: str,
+        dataset: str,
+        samples: Sequence[SampleRef],
+        *,
+        selection: Selection | None = None,
+        missing: Sequence[str] = (),
+        damaged: Sequence[str] = (),
+        identity: Mapping[str, str],
+    ) -> None:
+        """List ``samples``, and select some of them (all if ``selection`` is None)."""
+        self.method, self.dataset = method, dataset
+        self.listed = Counter(sample.category for sample in samples)
+        self.samples = (selection or Selection()).of(samples)
+        self.missing, self.damaged = missing, damaged
+        self.identity: Mapping[str, str] = {**DEFINITIONS, **identity}
+
+    @abstractmethod
+    def judge(self, ref: SampleRef) -> Row:
+        """The row of one sample; raises :class:`SampleError`."""
+
+    def truth(self, ref: SampleRef) -> GroundTruth | None:
+        """The truth about one sample; None where only its row is left."""
+        return None
+
+
+def has_quick_truth(dataset: Dataset) -> bool:
+    """Whether :func:`read_truth` opens no image."""
+    return bool(getattr(dataset, "quick_truth", hasattr(dataset, "truth")))
+
+
+def read_truth(dataset: Dataset, ref: SampleRef) -> GroundTruth:
+    """The truth about one sample of a data set; :class:`ContractError` if it is damaged."""
+    read = getattr(dataset, "truth", None)
+    truth: GroundTruth = dataset.load(ref).truth if read is None else read(ref)
+    return truth

@@ -1,0 +1,193 @@
+"""The paper's tables as counts, and a run's counts against them.
+
+A published table has no samples, so two counts are compared: a cell is worse if the exact
+binomial interval of the run's precision lies below the published precision. The interval's
+confidence is shared out among the cells of a run, so that a run as good as the published one is
+called worse with at most ``FALSE_ALARMS`` probability, whatever the number of cells.
+"""
+
+from __future__ import annotations
+
+import bisect
+import csv
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+from pytest_cpas.evaluation.predictions import STORED
+from pytest_cpas.golden.comparison import Verdict, Word
+from pytest_cpas.golden.files import shipped_golden
+from pytest_cpas.metrics.precision import Count, JointThreshold
+
+#: Probability that a run that is as good as the published one is called worse.
+FALSE_ALARMS = 0.01
+
+
+@dataclass(frozen=True)
+class PublishedCell:
+    """Between ``low`` and ``high`` of ``total`` samples correct, as far as the paper tells."""
+
+    category: str
+    label: str
+    low: int
+    high: int
+    total: int
+
+
+def published_cells(dataset: str, method: str) -> list[PublishedCell]:
+    """The paper's precision table of a method on a data set; empty if it has none."""
+    return [
+        PublishedCell(
+            line["category"],
+            _threshold(line).label,
+            int(line["correct_low"]),
+            int(line["correct_high"]),
+            int(line["total"]),
+        )
+        for line in _read("precision.csv")
+        if (line["dataset"], line["method"]) == (dataset, method)
+    ]
+
+
+def published_datasets() -> list[str]:
+    """The data sets that the paper's table has."""
+    return sorted({line["dataset"] for line in _read("precision.csv")})
+
+
+def published_methods(dataset: str) -> list[str]:
+    """The methods that the paper's table of a data set has; empty if it has none."""
+    return sorted({x["method"] for x in _read("precision.csv") if x["dataset"] == dataset})
+
+
+def published_curves(dataset: str, method: str) -> dict[str, list[tuple[float, Count]]]:
+    """The paper's counts against one threshold at a time.
+
+    Points by what the threshold is on (``position_m``, ``rotation_deg``, ``fscore_1cm``); empty if
+    the paper has none.
+    """
+    curves: dict[str, list[tuple[float, Count]]] = {}
+    for line in _read("curves.csv"):
+        if (line["dataset"], line["method"]) == (dataset, method):
+            count = Count(int(line["correct"]), int(line["total"]))
+            points = curves.setdefault(line["threshold_on"], [])
+            points.append((float(line["threshold"]), count))
+    return curves
+
+
+@dataclass(frozen=True)
+class PublishedTime:
+    """Mean seconds per prediction, on which data set and machine."""
+
+    dataset: str
+    mean_seconds: float
+    machine: str
+
+
+def published_time(method: str) -> PublishedTime | None:
+    """The run time that the paper prints for a method; None if it prints none."""
+    for line in _read("run_time.csv"):
+        if line["method"] == method:
+            return PublishedTime(line["dataset"], float(line["mean_seconds"]), line["hardware"])
+    return None
+
+
+def published_name(dataset: str, listed: Mapping[str, int]) -> str | None:
+    """The data set of the paper that a run's samples are of; None if it is none of them.
+
+    Stored predictions do not say what they were made on; the numbers of samples per category do.
+    """
+    if published_methods(dataset):
+        return dataset
+    if dataset == STORED:
+        for name in published_datasets():
+            if published_sample_counts(name) == dict(listed):
+                return name
+    return None
+
+
+def published_sample_counts(dataset: str) -> dict[str, int]:
+    """How many samples of each category a complete copy of a data set has; empty if unknown."""
+    return {
+        line["category"]: int(line["total"])
+        for line in _read("precision.csv")
+        if line["dataset"] == dataset and line["category"] != "all"
+    }
+
+
+def count_problems(dataset: str, listed: Mapping[str, int], *, partial: bool) -> dict[str, str]:
+    """Per category, what is wrong with how many samples are listed.
+
+    A ``partial`` copy may have fewer than were published. Nothing is wrong where no count is known.
+    """
+    problems = {}
+    for category, expected in published_sample_counts(dataset).items():
+        count = listed.get(category, 0)
+        if count > expected or (count < expected and not partial):
+            incomplete = "" if partial else ", and nothing is missing"
+            problems[category] = (
+                f"{count} samples of {category}{incomplete}; the published data set has {expected}"
+            )
+    return problems
+
+
+def _threshold(line: Mapping[str, str]) -> JointThreshold:
+    return JointThreshold(
+        rotation_deg=float(line["rotation_deg"]),
+        position_m=float(line["position_m"]),
+        fscore=float(line["fscore_1cm"]) if line["fscore_1cm"] else None,
+    )
+
+
+@functools.cache
+def _read(name: str) -> list[dict[str, str]]:
+    with (shipped_golden() / "published" / name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def compare_published(
+    cells: Sequence[PublishedCell], table: Mapping[str, Mapping[str, Count | None]]
+) -> list[Verdict]:
+    """One verdict per category; it states the margin of every cell that both have.
+
+    Worse in one cell makes a category REGRESSED; better ones pass. A part of the samples can be
+    worse, but not agree: that is one more verdict, NOT CHECKED. Pure.
+    """
+    judged = {
+        cell: count
+        for cell in cells
+        if (count := table.get(cell.category, {}).get(cell.label)) is not None
+    }
+    verdicts = []
+    for category in sorted({cell.category for cell in judged}):
+        lines: dict[Word, list[str]] = {Word.REGRESSED: [], Word.ABOVE: [], Word.AGREES: []}
+        for cell, count in judged.items():
+            if cell.category == category:
+                # a two-sided interval, of which only the lower side can raise a false alarm
+                word, line = _judge(cell, count, 1 - 2 * FALSE_ALARMS / len(judged))
+                lines[word].append(line)
+        word = next(word for word, told in lines.items() if told)
+        verdicts.append(Verdict(word, category, "\n  ".join(chain.from_iterable(lines.values()))))
+    seen = max((count.total for count in judged.values()), default=0)
+    total = max((cell.total for cell in cells), default=0)
+    if 0 < seen < total:
+        told = f"{seen} of the {total} samples of the published table judged"
+        verdicts.append(Verdict(Word.NOT_CHECKED, "completeness", told))
+    return verdicts
+
+
+def _judge(cell: PublishedCell, count: Count, confidence: float) -> tuple[Word, str]:
+    lowest, highest = cell.low / cell.total, cell.high / cell.total
+    low, high = count.interval(confidence)
+    # the smallest count that would not be called worse: what this many samples can detect
+    needed = bisect.bisect_left(
+        range(count.total), lowest, key=lambda k: Count(k, count.total).interval(confidence)[1]
+    )
+    margin = f"worse below {needed}/{count.total}" if needed else "so few cannot show it worse"
+    line = (
+        f"{cell.label}: {count.correct}/{count.total} correct (interval {100 * low:.1f} to"
+        f" {100 * high:.1f} %), published {100 * lowest:.1f} %; {margin}"
+    )
+    if high < lowest:
+        return Word.REGRESSED, line
+    return (Word.ABOVE if low > highest else Word.AGREES), line

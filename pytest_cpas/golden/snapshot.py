@@ -1,0 +1,146 @@
+"""Golden tables in tests of one's own: ``assert table == cpas_golden``.
+
+A syrupy extension with the comparison and the files of the verdict at the end of a run: the same
+tables, the same words, the same ``--snapshot-update``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from syrupy.assertion import SnapshotAssertion
+from syrupy.data import SnapshotCollection, SnapshotCollections
+from syrupy.extensions.base import AbstractSyrupyExtension
+from syrupy.location import PyTestLocation
+from syrupy.types import SerializedData, SnapshotIndex
+
+from pytest_cpas.golden.comparison import GOOD, Verdict, compare
+from pytest_cpas.golden.files import find_golden, record
+from pytest_cpas.golden.tables import RunTable, parse_golden
+
+
+def golden_folder(config: pytest.Config) -> Path:
+    """Where golden tables are read first and written.
+
+    The default is in the root directory if that is the project's. Without a configuration file
+    pytest may take the folder behind ``--cpas-data DIR`` for it, so then it is where pytest was
+    started.
+    """
+    here = config.invocation_params.dir
+    named: str | None = config.option.cpas_golden
+    if named:
+        return here / named
+    is_project = config.inipath is not None and here.is_relative_to(config.rootpath)
+    return (config.rootpath if is_project else here) / str(config.getini("cpas_golden") or "golden")
+
+
+class GoldenExtension(AbstractSyrupyExtension):
+    """Keeps a :class:`RunTable` as golden table of its method and data set.
+
+    syrupy compares serialised data; here that is the text of the table's two files.
+    """
+
+    write_immediately = True
+
+    @classmethod
+    def get_location(cls, *, test_location: PyTestLocation, index: SnapshotIndex) -> str:
+        """The folder ``METHOD/DATASET``, which is the assertion's ``index``."""
+        return str(golden_folder(test_location.item.config) / "recorded" / str(index))
+
+    @classmethod
+    def matches_test_location(
+        cls, *, test_location: PyTestLocation, snapshot_location: str
+    ) -> bool:
+        """A golden table belongs to its method and data set, whichever test asks for it."""
+        return True
+
+    def discover_snapshots(
+        self, *, test_location: PyTestLocation, ignore_extensions: list[str] | None = None
+    ) -> SnapshotCollections:
+        """None: a table that no test asked for is not unused, and must not be deleted."""
+        return SnapshotCollections()
+
+    def serialize(self, data: Any, **_: Any) -> str:
+        """The text of a table; :class:`TypeError` for anything else."""
+        if not isinstance(data, RunTable):
+            raise TypeError(
+                f"cpas_golden is compared with a {type(data).__name__}, expected a"
+                " pytest_cpas.golden.RunTable, as RunTable.of(run) gives it"
+            )
+        samples = data.samples_csv()
+        return json.dumps(
+            {
+                "method": data.method,
+                "dataset": data.dataset,
+                "listed": dict(data.listed),
+                "table": data.table_toml(samples),
+                "samples": samples,
+            }
+        )
+
+    def read_snapshot_data_from_location(
+        self, *, snapshot_location: str, snapshot_name: str, session_id: str
+    ) -> SerializedData | None:
+        """The golden table in the same form, or the one that ships with the plugin."""
+        folder = Path(snapshot_location)
+        golden = find_golden(folder.parents[2], folder.parent.name, folder.name)
+        return None if golden is None else self.serialize(golden)
+
+    def matches(self, *, serialized_data: SerializedData, snapshot_data: SerializedData) -> bool:
+        """Whether every verdict is good."""
+        verdicts = _verdicts(serialized_data, snapshot_data)
+        return all(verdict.word in GOOD for verdict in verdicts)
+
+    def diff_lines(
+        self, serialized_data: SerializedData, snapshot_data: SerializedData
+    ) -> Iterator[str]:
+        """The verdicts that are not good, in words."""
+        if snapshot_data:
+            for verdict in _verdicts(serialized_data, snapshot_data):
+                if verdict.word not in GOOD:
+                    yield from str(verdict).splitlines()
+
+    @classmethod
+    def write_snapshot_collection(
+        cls, *, snapshot_collection: SnapshotCollection, **_: Any
+    ) -> None:
+        """Record the table; :class:`GoldenError` unless it is complete."""
+        for snapshot in snapshot_collection:
+            golden = Path(snapshot_collection.location).parents[2]
+            record(golden, _parse(str(snapshot.data)))
+
+    def read_snapshot_collection(self, *, snapshot_location: str) -> SnapshotCollection:
+        """Never asked for, since none is discovered."""
+        raise NotImplementedError
+
+    def delete_snapshots(self, *, snapshot_location: str, snapshot_names: set[str]) -> None:
+        """Never asked for, since none is discovered."""
+        raise NotImplementedError
+
+
+def _parse(text: str) -> RunTable:
+    content = json.loads(text)
+    table = parse_golden(
+        content["method"], content["dataset"], content["table"], content["samples"]
+    )
+    return replace(table, listed=content["listed"])
+
+
+def _verdicts(new: SerializedData, golden: SerializedData) -> list[Verdict]:
+    return compare(_parse(str(golden)), _parse(str(new)))
+
+
+class GoldenAssertion(SnapshotAssertion):
+    """A snapshot whose name is the method and the data set of the table it is compared with."""
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, RunTable):
+            self(name=f"{other.method}/{other.dataset}")
+        return bool(super().__eq__(other))
+
+    __hash__ = None  # type: ignore[assignment]

@@ -1,0 +1,1 @@
+"""pytest runs with ``--cpas-*``: what is asked for, what comes back, how it is judged."""

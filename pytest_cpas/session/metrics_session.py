@@ -1,0 +1,111 @@
+"""A run with ``--cpas-metrics``: one item per implementation and property, then the matrix."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import pytest
+
+from pytest_cpas.checks.metrics import PROPERTIES, Result, Subject, load_subject
+from pytest_cpas.checks.metrics.expectations import (
+    Expectation,
+    expectations_file,
+    read_expectations,
+    write_expectations,
+)
+from pytest_cpas.checks.metrics.matrix import Cell, aligned, as_table, write_matrix
+from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
+from pytest_cpas.checks.outcome import Outcome
+from pytest_cpas.registry import RegistryError
+from pytest_cpas.session.suite_session import SuiteSession
+from pytest_cpas.types import ContractError
+
+__all__ = ["RESULT", "MetricsSession"]
+
+#: Where an item keeps its result, and whether that is the one that was recorded.
+RESULT = pytest.StashKey[tuple[Result, bool]]()
+
+
+class MetricsSession(SuiteSession):
+    """The hooks of a run, and its state."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        """Load the implementations; :class:`pytest.UsageError` if that fails."""
+        super().__init__(config, "test_metrics.py", "cpas-metrics")
+        options = config.option
+        self.examples: int = options.cpas_examples or DEFAULT_EXAMPLES
+        self.seed: int = options.cpas_seed
+        if self.examples < 1:
+            raise pytest.UsageError(f"--cpas-examples is {self.examples}, expected at least 1")
+        here = config.invocation_params.dir
+        self.reports = [here / path for path in options.cpas_metrics_report]
+        for path in self.reports:
+            if path.suffix not in (".json", ".md"):
+                raise pytest.UsageError(f"--cpas-metrics-report {path}: expected .json or .md")
+        try:
+            self.subjects: list[Subject] = [
+                load_subject(name) for name in dict.fromkeys(options.cpas_metrics)
+            ]
+            self.expected: dict[str, dict[str, Expectation]] = {
+                subject.name: read_expectations(expectations_file(subject.name))
+                for subject in self.subjects
+            }
+        except (RegistryError, ContractError) as error:
+            raise pytest.UsageError(str(error)) from error
+        self.matrix: dict[str, dict[str, Cell]] = {subject.name: {} for subject in self.subjects}
+
+    def expectation(self, subject: Subject, name: str) -> Expectation | None:
+        """The recorded violation of a property, unless violations are recorded anew."""
+        return None if self.update else self.expected[subject.name].get(name)
+
+    def found(self, item: pytest.Item) -> Any:
+        """An item's result, and whether it is the recorded one."""
+        if RESULT not in item.stash:
+            return None
+        result, expected = item.stash[RESULT]
+        return {**asdict(result), "outcome": result.outcome.value}, expected
+
+    def collect(self, found: Any) -> None:
+        """Enter a result into the matrix."""
+        values, expected = found
+        result = Result(**{**values, "outcome": Outcome(values["outcome"])})
+        self.matrix[result.subject][result.property] = Cell(result, expected)
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        """The matrix; reports and recorded violations are written."""
+        if not self.is_controller or self.config.option.collectonly:
+            return
+        matrix = {
+            name: {prop: cells[prop] for prop in PROPERTIES if prop in cells}
+            for name, cells in self.matrix.items()
+        }
+        terminalreporter.section("conformance of metrics", bold=True)
+        for line in aligned(as_table(matrix)):
+            terminalreporter.write_line(line)
+        for name, cells in matrix.items():
+            outcomes = [cell.result.outcome for cell in cells.values()]
+            judged = len(outcomes) - outcomes.count(Outcome.NOT_OFFERED)
+            known = sum(cell.expected for cell in cells.values())
+            terminalreporter.write_line(
+                f"{name}: {outcomes.count(Outcome.PASSED)} of {judged} properties hold,"
+                f" {known} known violations, {len(outcomes) - judged} n/a"
+            )
+            if self.update:
+                self._record(terminalreporter, name, cells)
+        for path in self.reports:
+            write_matrix(path, matrix)
+
+    def _record(
+        self, terminalreporter: pytest.TerminalReporter, name: str, cells: dict[str, Cell]
+    ) -> None:
+        path = expectations_file(name)
+        if len(cells) < len(PROPERTIES):
+            terminalreporter.write_line(
+                f"NOT RECORDED: {len(cells)} of {len(PROPERTIES)} properties of {name} were"
+                " checked; record a complete run",
+                red=True,
+            )
+            return
+        count = write_expectations(path, (cell.result for cell in cells.values()))
+        terminalreporter.write_line(f"recorded {count} violations of {name} in {path}")

@@ -1,0 +1,136 @@
+"""What every session of a run shares: its shipped test module, and what items send back."""
+
+from __future__ import annotations
+
+import sys
+from abc import ABC, abstractmethod
+from collections import defaultdict
+from collections.abc import Generator, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+
+from pytest_cpas.types import SampleRef
+
+Outcome = Literal["passed", "failed", "skipped", "xfailed"]
+
+
+class SuiteSession(ABC):
+    """Collects one module of :mod:`pytest_cpas.suite`, and brings what its items found home.
+
+    The same object lives on the controller, which without xdist is the only process, and on every
+    xdist worker. What an item found rides on its test report.
+    """
+
+    def __init__(self, config: pytest.Config, module: str, node: str) -> None:
+        """Have ``suite/module`` collected under the node id ``node``.
+
+        It is collected beside the tests named on the command line; without any, alone.
+        """
+        self.config = config
+        self.is_controller = not hasattr(config, "workerinput")
+        self.update = bool(config.getoption("update_snapshots", False))
+        self._suite = Path(__file__).parents[1] / "suite" / module
+        self._node = node
+        here = str(config.invocation_params.dir)
+        if here not in sys.path:  # package.module:Class is looked for where pytest was started
+            sys.path.insert(0, here)
+        others = [p for p in config.pluginmanager.get_plugins() if isinstance(p, SuiteSession)]
+        named = config.args_source is pytest.Config.ArgsSource.ARGS
+        config.args = [*(config.args if named or others else ()), str(self._suite)]
+
+    @abstractmethod
+    def found(self, item: pytest.Item) -> Any:
+        """What an item of the suite found out, as plain values that xdist can send, or None."""
+
+    @abstractmethod
+    def collect(self, found: Any) -> None:
+        """Take in, on the controller, what :meth:`found` gave for an item."""
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_pycollect_makemodule(
+        self, module_path: Path, parent: pytest.Collector
+    ) -> pytest.Module | None:
+        """Give the shipped suite short node ids that are the same wherever it is installed."""
+        if module_path != self._suite:
+            return None
+        module: pytest.Module = pytest.Module.from_parent(
+            parent, path=module_path, name=self._node, nodeid=self._node
+        )
+        return module
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Put what an item of this suite found on its report."""
+        report = yield
+        if report.when == "call" and item.path == self._suite:
+            report.cpas_found = (self._node, self.found(item))  # type: ignore[attr-defined]
+        return report
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """On the controller: collect."""
+        node, found = getattr(report, "cpas_found", (None, None))
+        if self.is_controller and node == self._node and found is not None:
+            self.collect(found)
+            # pytest keeps the reports of a run; the rows are kept already
+            del report.cpas_found
+
+
+def grouped(
+    samples: Sequence[SampleRef], granularity: Literal["sample", "scene", "dataset"]
+) -> Iterable[tuple[str, list[SampleRef]]]:
+    """Samples as (name, samples), one group per test item."""
+    if granularity == "sample":
+        return [(f"{ref.category}-{ref.id}", [ref]) for ref in samples]
+    groups: dict[str, list[SampleRef]] = defaultdict(list)
+    for ref in samples:
+        groups[ref.scene if granularity == "scene" else "all"].append(ref)
+    return groups.items()
+
+
+def report_outcome(
+    session: pytest.Session,
+    nodeid: str,
+    outcome: Outcome,
+    message: str,
+) -> None:
+    """Report what is judged after the last item as if it were one.
+
+    Terminal, JUnit and exit code then agree. ``message``: why it did not pass.
+    """
+    longrepr: Any = None
+    if outcome == "failed":
+        longrepr = pytest.ExceptionInfo.from_exception(
+            _raised(pytest.fail.Exception(message, pytrace=False))
+        ).getrepr(style="value")
+    elif outcome != "passed":
+        longrepr = (nodeid.partition("::")[0], 0, message)
+    location = (nodeid.partition("::")[0], None, nodeid.partition("::")[2])
+    session.testscollected += 1
+    hook = session.config.hook
+    hook.pytest_runtest_logstart(nodeid=nodeid, location=location)
+    for when in ("setup", "call", "teardown"):
+        called = when == "call"
+        report = pytest.TestReport(
+            nodeid,
+            location,
+            keywords={},
+            outcome="passed" if not called else "skipped" if outcome == "xfailed" else outcome,
+            longrepr=longrepr if called else None,
+            when=when,
+        )
+        if called and outcome == "xfailed":
+            report.wasxfail = message
+        hook.pytest_runtest_logreport(report=report)
+    hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)
+
+
+def _raised(error: BaseException) -> BaseException:
+    """The error with a traceback, which pytest needs to represent it."""
+    try:
+        raise error
+    except BaseException as caught:
+        return caught

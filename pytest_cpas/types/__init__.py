@@ -1,0 +1,48 @@
+"""What the harness hands to a method, and what it takes back.
+
+Conventions (everywhere in this package, adapters convert at their own border):
+
+* lengths in metres, float64;
+* camera frame: OpenCV (x right, y down, z forward), pixel centres at integers;
+* object frame: ShapeNet (y up, origin in the centre of the object's axis-aligned bounding box);
+* a pose maps object coordinates to camera coordinates: ``x_camera = R @ x_object + t``.
+
+Everything is validated on entry and raises :class:`ContractError` with what was seen, what was
+expected and what to look for in an adapter.
+"""
+
+from pytest_cpas.types._arrays import Array
+from pytest_cpas.types.answers import Hypothesis, Prediction
+from pytest_cpas.types.declarations import EQUIVARIANCES, Asset, Method, MethodInfo, assets_of
+from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
+from pytest_cpas.types.samples import (
+    CATEGORIES,
+    Dataset,
+    GroundTruth,
+    Observation,
+    Sample,
+    SampleRef,
+)
+
+__all__ = [
+    "CATEGORIES",
+    "EQUIVARIANCES",
+    "Array",
+    "Asset",
+    "Camera",
+    "ContractError",
+    "Dataset",
+    "GroundTruth",
+    "Hypothesis",
+    "Mesh",
+    "Method",
+    "MethodInfo",
+    "Observation",
+    "Pose",
+    "Prediction",
+    "Sample",
+    "SampleRef",
+    "Symmetry",
+    "assets_of",
+]

@@ -1,0 +1,144 @@
+"""What a data set gives: samples, each with what a method may see and the truth."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.types._arrays import Array, checked_extents, frozen_array
+from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
+
+__all__ = ["CATEGORIES", "Dataset", "GroundTruth", "Observation", "Sample", "SampleRef", "evenly"]
+
+
+#: The categories of the paper, in the order that the field's class ids 1..6 give them.
+CATEGORIES = ("bottle", "bowl", "camera", "can", "laptop", "mug")
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a method may see of one object.
+
+    ``category``: its name. ``rgb`` (H, W, 3) float32 in 0..1. ``depth`` (H, W) float32 in metres
+    along the optical axis, 0 = missing. ``mask`` (H, W) bool, the object's visible pixels.
+    """
+
+    category: str
+    rgb: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    camera: Camera
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        for name, array, shape, dtype in (
+            ("rgb", self.rgb, (*size, 3), np.float32),
+            ("depth", self.depth, size, np.float32),
+            ("mask", self.mask, size, np.bool_),
+        ):
+            if array.shape != shape or array.dtype != dtype:
+                raise ContractError(
+                    f"{name}: shape {array.shape} of {array.dtype}, expected {shape} of"
+                    f" {np.dtype(dtype)} (the camera is {size[1]} x {size[0]})"
+                )
+        # min and max propagate NaN, and a comparison with NaN is false
+        if not (self.rgb.min() >= 0 and self.rgb.max() <= 1):
+            raise ContractError(
+                f"rgb: values from {self.rgb.min():g} to {self.rgb.max():g}, expected 0 to 1"
+            )
+        if not (self.depth.min() >= 0 and self.depth.max() < np.inf):
+            raise ContractError(
+                f"depth: values from {self.depth.min():g} to {self.depth.max():g}, expected finite"
+                " metres, 0 where missing"
+            )
+        if not self.mask.any():
+            raise ContractError("mask: empty, so there is no object to find")
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """The truth about one object; a method never sees it.
+
+    ``extents`` (3,) side lengths of the object-frame bounding box, metres. ``surface``: a
+    :class:`Mesh` or points (N, 3) in the object frame, metres; None where a data set has no
+    shapes (shape metrics are then n/a).
+    """
+
+    pose: Pose
+    extents: Array
+    symmetry: Symmetry
+    surface: Mesh | Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "extents", checked_extents(self.extents))
+        if self.surface is not None and not isinstance(self.surface, Mesh):
+            object.__setattr__(
+                self, "surface", frozen_array(self.surface, (None, 3), "surface points")
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class SampleRef:
+    """An entry of a data set's index; no image is opened to make one.
+
+    ``id`` is unique in the data set and stable; ``scene`` groups samples that belong together;
+    ``model`` is the data set's name of the object, the same for all its samples, if it has one.
+    """
+
+    id: str
+    category: str
+    scene: str
+    model: str = ""
+
+    def __post_init__(self) -> None:
+        # one object each: few differ, but for the id, which rows and golden tables have too
+        for name in ("id", "category", "scene", "model"):
+            object.__setattr__(self, name, sys.intern(str(getattr(self, name))))
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One object in one image: what a method sees, and the truth about it."""
+
+    ref: SampleRef
+    observation: Observation
+    truth: GroundTruth
+
+
+@runtime_checkable
+class Dataset(Protocol):
+    """A data set. Made with the folder of ``--cpas-data`` (None if none was given).
+
+    ``samples`` is in a stable order and made without opening an image, or from an index that is
+    made once. ``digest`` identifies the
+    content that the samples are judged by. ``missing``: what a partial copy lacks, one line each.
+    ``damaged``: what could not even be listed, one line each; the run fails over it. A data set may
+    have a set ``absent`` of ids that are listed but whose images are not there, so that only their
+    truth is known: no method is judged on them; ``truth(ref)``, which reads the truth of a sample
+    without its images (with them if ``quick_truth`` is False); and ``camera``, if one took all
+    images.
+    """
+
+    name: str
+    samples: Sequence[SampleRef]
+    digest: str
+    missing: Sequence[str]
+    damaged: Sequence[str]
+
+    def load(self, ref: SampleRef) -> Sample:
+        """Read one sample. Raises :class:`ContractError` naming the file that is damaged."""
+
+
+_Value = TypeVar("_Value")
+
+
+def evenly(values: Sequence[_Value], most: int) -> list[_Value]:
+    """At most so many of the values, evenly spaced, in order."""
+    count = min(most, len(values))
+    return [values[i * len(values) // count] for i in range(count)]

@@ -1,0 +1,228 @@
+"""Stored predictions: the field's pickles and the .npz form."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from pytest_cpas.evaluation import SampleError, outcomes
+from pytest_cpas.evaluation.predictions import StoredRun, assign_detections, read_frames
+from pytest_cpas.types import ContractError
+
+RNG_BOXES = np.array([[0, 0, 10, 10], [0, 20, 10, 30], [50, 50, 90, 90]])
+
+
+def frame(**changed):
+    """Three objects, a bowl and two mugs, and a detection of each in reversed order."""
+    poses = np.tile(np.diag([0.2, 0.2, 0.2, 1.0]), (3, 1, 1))
+    poses[:, :3, 3] = [[0, 0, 1], [0.3, 0, 1], [0, 0.3, 1]]
+    values = {
+        "gt_class_ids": np.array([2, 6, 6]),
+        "gt_bboxes": RNG_BOXES,
+        "gt_RTs": poses,
+        "gt_scales": np.full((3, 3), 1 / np.sqrt(3)),
+        "pred_class_ids": np.array([6, 6, 2]),
+        "pred_bboxes": RNG_BOXES[::-1],
+        "pred_scores": np.array([0.9, 0.8, 0.7]),
+        "pred_RTs": poses[::-1],
+        "pred_scales": np.full((3, 3), 1 / np.sqrt(3)),
+    }
+    return values | changed
+
+
+def write(path, **changed):
+    path.write_bytes(pickle.dumps(frame(**changed), protocol=3))
+    return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "results_test_scene_1_0007.pkl"
+
+
+def test_perfect_predictions_are_perfect(path):
+    run = StoredRun(write(path))
+    assert [(s.id, s.category) for s in run.samples] == [
+        ("scene_1/0007/gt0", "bowl"),
+        ("scene_1/0007/gt1", "mug"),
+        ("scene_1/0007/gt2", "mug"),
+    ]
+    for ref in run.samples:
+        row = run.judge(ref)
+        assert (row.translation_error, row.rotation_error) == pytest.approx((0, 0), abs=1e-9)
+        assert row.iou == pytest.approx(1)
+        assert row.fscore_1cm is None
+
+
+def test_extents_are_relative_to_the_pose_scale(path):
+    # half as large in the pose, twice in the sizes
+    predicted = frame()["pred_RTs"].copy()
+    predicted[:, :3, :3] /= 2
+    run = StoredRun(write(path, pred_RTs=predicted, pred_scales=np.full((3, 3), 2 / np.sqrt(3))))
+    assert all(run.judge(ref).iou == pytest.approx(1) for ref in run.samples)
+    halved = StoredRun(write(path, pred_RTs=predicted))
+    assert all(halved.judge(ref).iou == pytest.approx(1 / 8) for ref in halved.samples)
+
+
+def test_up_axis_is_y_of_both_frames(path):
+    """A turn about NOCS y is free for a bowl and counts for a mug; about x it counts for both."""
+    for axes, free in (((0, 2), True), ((1, 2), False)):
+        angle = np.radians(30)
+        turn = np.eye(4)
+        turn[np.ix_(axes, axes)] = [
+            [np.cos(angle), -np.sin(angle)],
+            [np.sin(angle), np.cos(angle)],
+        ]
+        run = StoredRun(write(path, pred_RTs=frame()["pred_RTs"] @ turn))
+        angles = [run.judge(ref).rotation_error for ref in run.samples]
+        assert angles == pytest.approx([0 if free else 30, 30, 30], abs=1e-6)
+
+
+def test_detections_are_assigned_by_descending_box_iou():
+    # both detections overlap the first truth; the better one gets it, the other falls under 0.5
+    boxes = np.array([[0, 0, 10, 10], [0, 4, 10, 14]])
+    found = np.array([[0, 2, 10, 12], [0, 0, 10, 10]])
+    content = frame(
+        gt_class_ids=np.array([6, 6]),
+        gt_bboxes=boxes,
+        pred_class_ids=np.array([6, 6]),
+        pred_bboxes=found,
+    )
+    assert assign_detections(content).tolist() == [1, 0]
+    content["pred_class_ids"] = np.array([6, 2])  # another class is no candidate
+    assert assign_detections(content).tolist() == [0, -1]
+    content["pred_bboxes"] = np.array([[0, 5, 10, 10], [0, 0, 1, 1]])
+    content["pred_class_ids"] = np.array([6, 6])
+    assert assign_detections(content).tolist() == [0, -1], "an IoU of exactly 0.5 is enough"
+    content["pred_bboxes"] = np.array([[0, 5.1, 10, 10], [0, 0, 1, 1]])
+    assert assign_detections(content).tolist()[0] == -1
+
+
+def test_undetected_truth_is_not_correct(path):
+    nothing = {
+        "pred_class_ids": np.array([]),
+        "pred_bboxes": np.array([]),
+        "pred_RTs": np.zeros((0, 4, 4)),
+        "pred_scales": np.zeros((0, 3)),
+    }
+    run = StoredRun(write(path, **nothing))
+    assert {run.judge(ref).failure for ref in run.samples} == {"not detected"}
+
+
+def broken(index, value):
+    poses = frame()["pred_RTs"].copy()
+    poses[index] = value
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (np.full((4, 4), np.nan), "determinant nan"),
+        (np.diag([0.2, 0.2, -0.2, 1]), "determinant -0.008"),
+        (np.diag([0.1, 0.2, 0.3, 1]), "not orthonormal"),
+        (np.zeros((4, 4)), "determinant 0"),
+    ],
+)
+def test_broken_prediction_fails_its_sample_only(path, pose, words):
+    run = StoredRun(write(path, pred_RTs=broken(0, pose)))
+    assert [run.judge(ref).failure for ref in run.samples[:2]] == [None, None]
+    with pytest.raises(SampleError, match=rf"scene_1/0007/gt2 \(mug\).*prediction 0.*{words}"):
+        run.judge(run.samples[2])
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"gt_class_ids": np.array([2, 6, 7])}, "class ids run from 2 to 7"),
+        ({"gt_class_ids": np.array([0, 6, 6])}, "class ids run from 0"),
+        ({"gt_bboxes": np.zeros((2, 4))}, r"gt_bboxes has shape \(2, 4\), expected \(3, 4\)"),
+        ({"pred_RTs": np.zeros((3, 3, 3))}, r"pred_RTs has shape"),
+        ({"pred_scales": None}, "pred_scales is missing"),
+        ({"gt_RTs": np.array([["a"]])}, "not an array of numbers"),
+    ],
+)
+def test_damaged_file_is_refused(path, changed, words):
+    with pytest.raises(ContractError, match=words) as caught:
+        StoredRun(write(path, **changed))
+    assert path.name in str(caught.value)
+
+
+def as_npz(target, names, frames):
+    counts = {
+        side: [0, *np.cumsum([len(f[f"{side}_class_ids"]) for f in frames])]
+        for side in ("gt", "pred")
+    }
+    arrays = {key: np.concatenate([f[key] for f in frames]) for key in frames[0]}
+    np.savez(target, frame=names, gt_offset=counts["gt"], pred_offset=counts["pred"], **arrays)
+
+
+def test_npz_and_folder_of_pickles_are_the_same(tmp_path, path):
+    write(path)
+    other = write(tmp_path / "results_test_scene_2_0001.pkl", pred_RTs=broken(1, np.eye(4)))
+    assert [name for name, _ in read_frames(tmp_path)] == ["scene_1_0007", "scene_2_0001"]
+    as_npz(
+        tmp_path / "all.npz",
+        ["scene_1_0007", "scene_2_0001"],
+        [frame(), pickle.loads(other.read_bytes())],
+    )
+    pickles, npz = StoredRun(tmp_path), StoredRun(tmp_path / "all.npz")
+    assert pickles.samples == npz.samples
+    assert pickles.identity == npz.identity
+    assert [pickles.judge(r) for r in pickles.samples] == [npz.judge(r) for r in npz.samples]
+
+
+@pytest.mark.parametrize("damage", ["offset", "lacks", "truncated", "object"])
+def test_damaged_npz_is_refused(tmp_path, damage):
+    path = tmp_path / "x.npz"
+    as_npz(path, ["scene_1_0007"], [frame()])
+    content = dict(np.load(path))
+    if damage == "offset":
+        content["gt_offset"] = np.array([0, 2])
+    elif damage == "lacks":
+        del content["pred_RTs"]
+    elif damage == "object":
+        content["frame"] = np.array([object()])
+    np.savez(path, **content)
+    if damage == "truncated":
+        path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(ContractError, match=r"x\.npz"):
+        StoredRun(path)
+
+
+def test_published_predictions(test_data):
+    """All of REAL275: the counts were worked out independently of this project."""
+    run = StoredRun(test_data / "predictions" / "dualposenet_real275.npz")
+    rows = {ref.id: run.judge(ref) for ref in run.samples}
+    assert len(rows) == 16118
+
+    def correct(degrees, metres, category=None):
+        return sum(
+            row.rotation_error <= degrees and row.translation_error <= metres
+            for row in rows.values()
+            if category in (None, row.category)
+        )
+
+    assert correct(10, 0.02) == 8683
+    assert correct(5, 0.01) == 2638
+    by_category = {c: correct(10, 0.02, c) for c in ("bottle", "bowl", "camera", "can", "laptop")}
+    assert by_category == {"bottle": 1113, "bowl": 2181, "camera": 102, "can": 1954, "laptop": 1544}
+    assert correct(10, 0.02, "mug") == 1789
+
+    pickles = StoredRun(test_data / "predictions" / "dualposenet_real275")
+    names = [name for name, _ in read_frames(test_data / "predictions" / "dualposenet_real275")]
+    assert len(names) == 48
+    assert len(pickles.samples) == sum(
+        ref.id.rpartition("/")[0].replace("/", "_") in names for ref in run.samples
+    )
+    same = [rows[ref.id] for ref in pickles.samples]
+    alone = [pickles.judge(ref) for ref in pickles.samples]
+    assert outcomes(alone) == outcomes(same)
+    for one, other in zip(alone, same, strict=True):
+        assert (one.sample, one.category, one.failure) == (
+            other.sample,
+            other.category,
+            other.failure,
+        )
+        for error in ("translation_error", "rotation_error", "iou"):
+            assert getattr(one, error) == pytest.approx(getattr(other, error), abs=1e-9)

@@ -1,0 +1,278 @@
+"""Rows on disk: resuming, shards, merging; whatever is done to the files."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from harness import RUN
+
+from pytest_cpas.checks.contract import CONTRACT
+from pytest_cpas.cli import main
+from pytest_cpas.evaluation.results import Shard, merge, read_results
+
+
+def table(result: pytest.RunResult) -> list[str]:
+    """What a run says about precision and verdict."""
+    lines = result.stdout.lines
+    start = next(i for i, line in enumerate(lines) if line.startswith("correct "))
+    return [line for line in lines[start:] if line and "==" not in line]
+
+
+@pytest.fixture
+def shards(recorded, pytester):
+    """Run a method in n shards and return their files; the last results folder is ``out``."""
+
+    def run(method: str, count: int, *args: str) -> list[str]:
+        for index in range(1, count + 1):
+            recorded(method, f"--cpas-shard={index}/{count}", "--cpas-results=out", *args)
+        return sorted(str(path) for path in (pytester.path / "out").iterdir())
+
+    return run
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "1", "1/", "a/b", "-1/3"])
+def test_bad_shards(text):
+    with pytest.raises(ValueError, match="expected i/n"):
+        Shard.parse(text)
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+@pytest.mark.parametrize("method", ["Perfect", "Biased", "Refuses"])
+def test_merged_shards_are_judged_like_the_whole(recorded, pytester, shards, method, count):
+    whole = recorded(method, "--cpas-require-golden")
+    files = shards(method, count)
+    assert len(files) == count
+    merged = pytester.runpytest_inprocess(
+        *RUN, "--cpas-require-golden", *(f"--cpas-merge={file}" for file in files)
+    )
+    assert merged.ret == whole.ret
+    assert table(merged) == table(whole)
+
+
+def test_shards_partition_the_samples(shards):
+    samples = [set(read_results(Path(f)).rows) for f in shards("Perfect", 5)]
+    assert sum(map(len, samples)) == len(set.union(*samples)) == 12
+
+
+def test_failed_sample_of_a_shard_fails_the_merged_run(pytester, shards):
+    files = shards("Raises", 2)
+    merged = pytester.runpytest_inprocess(*RUN, *(f"--cpas-merge={file}" for file in files))
+    assert merged.ret == 1
+    merged.assert_outcomes(passed=29, failed=1, skipped=8)
+    merged.stdout.fnmatch_lines(["*the method raised RuntimeError('the network exploded')*"])
+
+
+def test_golden_table_is_recorded_from_merged_shards(pytester, shards):
+    folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    files = shards("Perfect", 3)
+    for path in folder.iterdir():
+        path.unlink()
+    folder.rmdir()
+    args = [f"--cpas-merge={file}" for file in files]
+    assert pytester.runpytest_inprocess(*RUN, "--snapshot-update", *args).ret == 0
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def usage_error(pytester: pytest.Pytester, *args: str) -> str:
+    result = pytester.runpytest_inprocess(*RUN, *args)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert "Traceback" not in result.stderr.str()
+    return result.stderr.str()
+
+
+def test_gaps_are_refused_unless_asked_for(pytester, shards):
+    files = shards("Perfect", 3)
+    args = [f"--cpas-merge={file}" for file in files[:2]]
+    assert "shard 3/3 is missing" in usage_error(pytester, *args)
+    result = pytester.runpytest_inprocess(*RUN, *args, "--cpas-allow-gaps")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["8 of 12 samples judged", "golden: NOT CHECKED (bowl, mug)"])
+    path = Path(files[2])
+    path.write_bytes(b"\n".join(path.read_bytes().split(b"\n")[:-2]) + b"\n")
+    error = usage_error(pytester, *(f"--cpas-merge={file}" for file in files))
+    assert "has 3 of its 4 samples" in error
+
+
+def test_overlaps_and_strangers_are_refused(recorded, pytester, shards):
+    files = shards("Perfect", 2)
+    again = Path(files[0]).rename(pytester.path / "again.jsonl")
+    shards("Perfect", 2)  # writes the first one anew
+    args = [f"--cpas-merge={file}" for file in (*files, again)]
+    assert "are both shard 1/2" in usage_error(pytester, *args)
+    recorded("Perfect", "--cpas-shard=1/3", "--cpas-results=other")
+    (other,) = (pytester.path / "other").iterdir()
+    assert "shards are 2, now 3" in usage_error(
+        pytester, f"--cpas-merge={files[1]}", f"--cpas-merge={other}"
+    )
+    recorded("Perfect", "--cpas-shard=2/2", "--cpas-results=seeded", "--cpas-seed=1")
+    (seeded,) = (pytester.path / "seeded").iterdir()
+    error = usage_error(pytester, f"--cpas-merge={files[0]}", f"--cpas-merge={seeded}")
+    assert "seed was 0, now 1" in error
+
+
+def test_merge_command(pytester, shards, monkeypatch, capsys):
+    files = shards("Biased", 2)
+    monkeypatch.chdir(pytester.path)
+    assert main(["merge", *files, *RUN]) == 1
+    assert "golden: REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct" in capsys.readouterr().out
+    assert main(["merge", files[0], *RUN]) == 4
+    assert main(["merge", files[0], "--cpas-allow-gaps", *RUN]) == 0  # the shard of the bowls
+    assert main(["merge", files[1], "--cpas-allow-gaps", *RUN]) == 1
+
+
+# -- resuming ---------------------------------------------------------------------------------
+
+
+def test_run_goes_on_after_every_kind_of_cut(recorded, pytester):
+    """Cut the file at every line, and within lines, as a killed writer would leave it."""
+    whole = recorded("Perfect", "--cpas-results=out", "--cpas-require-golden")
+    (path,) = (pytester.path / "out").iterdir()
+    content = path.read_bytes()
+    ends = [i + 1 for i, byte in enumerate(content) if byte == ord("\n")]
+    for end in [*ends[::4], *(e + 20 for e in ends[:-1:4])]:
+        path.write_bytes(content[:end])
+        resumed = recorded("Perfect", "--cpas-results=out", "--cpas-require-golden")
+        assert resumed.ret == 0
+        assert table(resumed) == table(whole)
+        assert sorted(path.read_bytes().splitlines()) == sorted(content.splitlines())
+
+
+def test_done_samples_are_not_judged_again(recorded, pytester):
+    recorded("Perfect", "--cpas-results=out", "-k", "bowl")
+    resumed = recorded("Perfect", "--cpas-results=out")
+    assert resumed.ret == 0
+    # a method that would break every sample finds nothing left to do
+    (path,) = (pytester.path / "out").iterdir()
+    assert len(read_results(path).rows) == 12
+    assert recorded("WrongLength", "--cpas-results=out", "-k", "test_sample").ret == 0
+    assert recorded("WrongLength", "--cpas-results=out").ret == 1  # its contract is looked at
+
+
+def test_errors_are_tried_again(recorded, pytester):
+    assert recorded("Raises", "--cpas-results=out").ret == 1
+    (path,) = (pytester.path / "out").iterdir()
+    assert list(read_results(path).errors) == ["scene_1/0005"]
+    assert recorded("Perfect", "--cpas-results=out").ret == 0
+    assert read_results(path).errors == {}
+    assert len(read_results(path).rows) == 12
+
+
+def test_results_of_another_run_are_not_mixed_in(recorded, pytester):
+    recorded("Perfect", "--cpas-results=out")
+    names = ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Renewed", "--cpas-results=out")
+    error = usage_error(pytester, *names)
+    assert "data was tiny-1, now tiny-2" in error
+    names = ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
+    assert "selected was 12, now 3" in usage_error(pytester, *names, "--cpas-limit=3")
+
+
+def test_every_damage_is_noticed(recorded, pytester):
+    recorded("Perfect", "--cpas-results=out")
+    (path,) = (pytester.path / "out").iterdir()
+    whole = path.read_bytes()
+    for position in range(0, len(whole) - 1, 97):
+        damaged = bytearray(whole)
+        damaged[position] ^= 1
+        path.write_bytes(damaged)
+        error = usage_error(pytester, f"--cpas-merge={path}")
+        assert "checksum is wrong" in error
+    for content, words in (
+        (b"", "does not begin with the header"),
+        (b"hello\n", "checksum is wrong"),
+        (b"00000000 \n", "did not write it"),
+        (os.urandom(300) + b"\n", "checksum is wrong"),
+    ):
+        path.write_bytes(content)
+        assert words in usage_error(pytester, f"--cpas-merge={path}")
+    assert "cannot be read" in usage_error(pytester, "--cpas-merge=nowhere.jsonl")
+
+
+def test_folder_that_cannot_be_written(recorded, pytester):
+    (pytester.path / "file").write_text("")
+    result = recorded("Perfect", "--cpas-results=file/out")
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    output = result.stdout.str() + result.stderr.str()
+    assert "cannot be written" in output
+    assert "Traceback" not in output
+
+
+def test_full_disk_ends_the_run_and_loses_nothing(recorded, pytester):
+    """A limit on the size of files stands for the disk: writing fails half-way through a line."""
+    whole = recorded("Perfect", "--cpas-require-golden")
+    names = ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
+    pytester.makeconftest(
+        """
+        import resource
+        def pytest_runtestloop():
+            resource.setrlimit(resource.RLIMIT_FSIZE, (6000, resource.RLIM_INFINITY))
+        """
+    )
+    result = pytester.runpytest_subprocess(*RUN, *names)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    output = result.stdout.str() + result.stderr.str()
+    assert "cannot be written ([Errno 27] File too large); what it holds is good" in output
+    assert "Traceback" not in output
+    (path,) = (pytester.path / "out").iterdir()
+    assert not path.read_bytes().endswith(b"\n")
+    assert 0 < len(read_results(path).rows) < 12
+    pytester.makeconftest("")
+    resumed = recorded("Perfect", "--cpas-results=out", "--cpas-require-golden")
+    assert (resumed.ret, table(resumed)) == (0, table(whole))
+
+
+SLOW = """
+import time
+from tiny import *
+
+class Slow(Perfect):
+    def predict(self, batch, seed):
+        time.sleep(0.02)
+        return super().predict(batch, seed)
+"""
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_killed_runs_end_with_the_same_table(recorded, pytester, how):
+    """kill -9 of the whole run at random moments, until it is through."""
+    pytester.makepyfile(slow=SLOW)
+    names = ("--cpas-method=slow:Slow", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
+    command = [sys.executable, "-m", "pytest", *RUN, *names, "--cpas-require-golden", *how]
+    rng = random.Random(1)
+    whole = recorded("Perfect", "--cpas-require-golden")
+    killed = 0
+    for _ in range(4):
+        process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        deadline = time.monotonic() + 60
+        folder = pytester.path / "out"
+        grown = rng.randrange(1, 9)
+        while process.poll() is None and time.monotonic() < deadline:
+            lines = sum(len(p.read_bytes().splitlines()) for p in folder.glob("*"))
+            if lines > grown:
+                os.killpg(process.pid, signal.SIGKILL)
+                killed += process.wait() == -signal.SIGKILL
+            time.sleep(0.002)
+    final = pytester.runpytest_subprocess(*command[3:])
+    assert killed, "no run was killed: this test proves nothing"
+    assert final.ret == 0
+    assert table(final) == table(whole)
+
+
+def test_files_are_plain_json_behind_their_checksum(recorded, pytester):
+    recorded("Refuses", "--cpas-results=out")
+    (path,) = (pytester.path / "out").iterdir()
+    header, *found = [json.loads(line[9:]) for line in path.read_text().splitlines()]
+    rows = [value for value in found if "row" in value]
+    assert header["header"]["listed"] == {"bowl": 6, "mug": 6}
+    assert {row["row"]["failure"] for row in rows} == {None, "too few points"}
+    assert {v["contract"]["check"] for v in found if "contract" in v} == CONTRACT.keys()
+    assert len(found) == len(rows) + len(CONTRACT) == 12 + len(CONTRACT)
+    assert [run.method for run in merge([path])] == ["perfect"]

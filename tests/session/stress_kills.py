@@ -1,0 +1,92 @@
+"""Kill runs at random moments and resume them: ``python tests/session/stress_kills.py [TRIALS]``.
+
+Every trial starts a run, alternately in one process and with two xdist workers, kills the
+controller or a worker with SIGKILL at a random moment, and runs the same command until it is
+through. The table and the recorded golden files must be those of a run that nobody disturbed.
+"""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # when this is run as a script
+
+from harness import RUN
+
+SLOW = """
+import time
+from tiny import *
+
+class Slow(Perfect):
+    def predict(self, batch, seed):
+        time.sleep(0.05)
+        return super().predict(batch, seed)
+"""
+
+
+def command(folder: str, *args: str) -> list[str]:
+    names = ("--cpas-method=slow:Slow", "--cpas-dataset=tiny:Tiny", "--snapshot-update")
+    golden = (f"--cpas-golden={folder}/golden", f"--cpas-results={folder}/out")
+    return [sys.executable, "-m", "pytest", *RUN, *names, *golden, *args]
+
+
+def children(pid: int) -> list[int]:
+    return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def outcome(folder: Path, output: str) -> tuple[list[str], dict[str, bytes]]:
+    """The table as printed, and the golden files."""
+    table = [line for line in output.splitlines() if " %" in line or "judged" in line]
+    files = {p.name: p.read_bytes() for p in (folder / "golden").rglob("*") if p.is_file()}
+    return table, files
+
+
+def until_through(folder: str, args: list[str]) -> str:
+    for _ in range(5):
+        done = subprocess.run(command(folder, *args), capture_output=True, text=True, check=False)
+        if done.returncode == 0:
+            return done.stdout
+    raise SystemExit(f"{folder}: five runs did not end well:\n{done.stdout}")
+
+
+def main(trials: int) -> None:
+    rng = random.Random(trials)
+    root = Path(tempfile.mkdtemp(prefix="kills-"))
+    os.chdir(root)
+    shutil.copy(Path(__file__).parents[1] / "tiny.py", root)
+    (root / "slow.py").write_text(SLOW)
+    started = time.monotonic()
+    expected = outcome(root / "whole", until_through("whole", []))
+    duration = time.monotonic() - started
+    killed = {"controller": 0, "worker": 0, "nobody: it was through": 0}
+    for trial in range(trials):
+        args = ["-n2"] if trial % 2 else []
+        folder = f"trial-{trial}"
+        process = subprocess.Popen(
+            command(folder, *args), stdout=subprocess.PIPE, text=True, start_new_session=True
+        )
+        time.sleep(rng.uniform(0.3, 0.9) * duration * (2 if args else 1))
+        victim = "controller"
+        if process.poll() is not None:
+            victim = "nobody: it was through"
+        elif (workers := children(process.pid)) and rng.random() < 0.7:
+            victim = "worker"
+            os.kill(rng.choice(workers), signal.SIGKILL)
+            process.communicate()  # the controller goes on with another worker
+        else:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+        killed[victim] += 1
+        assert outcome(root / folder, until_through(folder, args)) == expected, folder
+    shutil.rmtree(root)
+    print(f"{trials} runs, killed: {killed}; every one ended with the same table and golden files")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 50)
