@@ -146,7 +146,7 @@ def _export_bop(known: argparse.Namespace) -> int:
 
 
 def _fetch(name: str, to: Path, yes: bool) -> int:
-    from pytest_cpas.fetching.fetch import FetchError, fetch, find_source
+    from pytest_cpas.fetching.command import FetchError, fetch, find_source
 
     def confirm(question: str) -> bool:
         if yes:

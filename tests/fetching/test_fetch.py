@@ -23,8 +23,8 @@ import pytest
 from pytest_cpas import cli
 from pytest_cpas.datasets.sources import Source, SourceFile, how_to_get, published_sources
 from pytest_cpas.fetching import download as downloading
+from pytest_cpas.fetching.command import FetchError, fetch, find_source
 from pytest_cpas.fetching.download import Checksums, download
-from pytest_cpas.fetching.fetch import FetchError, fetch, find_source
 from pytest_cpas.reading import archives
 from pytest_cpas.reading.archives import ArchiveError, unpack
 from pytest_cpas.registry import resolve
@@ -540,7 +540,7 @@ def test_weights_of_a_method():
 
 
 def test_command(server, source, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("pytest_cpas.fetching.fetch.find_source", lambda name: source)
+    monkeypatch.setattr("pytest_cpas.fetching.command.find_source", lambda name: source)
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert cli.main(["fetch", "own", "--to", str(tmp_path)]) == 1
     assert "agree with --yes" in capsys.readouterr().err

@@ -136,7 +136,7 @@ def test_killed_update_leaves_one_table_or_the_other(tmp_path, monkeypatch, step
     new = table(s_03=9)
     child = os.fork()
     if child == 0:
-        steps = iter([golden._save, golden._save, Path.replace, Path.replace])
+        steps = iter([golden.files._save, golden.files._save, Path.replace, Path.replace])
 
         def one(*args):
             nonlocal step
@@ -145,7 +145,7 @@ def test_killed_update_leaves_one_table_or_the_other(tmp_path, monkeypatch, step
             step -= 1
             return next(steps)(*args)
 
-        monkeypatch.setattr(golden, "_save", one)
+        monkeypatch.setattr(golden.files, "_save", one)
         monkeypatch.setattr(Path, "replace", one)
         record(tmp_path, new)
         os._exit(0)
@@ -190,7 +190,7 @@ def test_orphans_are_tables_of_methods_that_are_gone(tmp_path):
 
 
 def test_own_table_goes_before_the_shipped_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(golden, "shipped_golden", lambda: tmp_path / "shipped")
+    monkeypatch.setattr(golden.files, "shipped_golden", lambda: tmp_path / "shipped")
     assert golden.find_golden(tmp_path / "own", "m", "d") is None
     record(tmp_path / "shipped", GOLDEN)
     assert golden.find_golden(tmp_path / "own", "m", "d") == GOLDEN

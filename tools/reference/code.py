@@ -46,7 +46,7 @@ API: dict[str, tuple[str, ...]] = {
     "pytest_cpas.checks.metrics": (),
     "pytest_cpas.diagnosis": (),
     "pytest_cpas.stages": ("stage",),
-    "pytest_cpas.fetching.fetch": (),
+    "pytest_cpas.fetching.command": (),
 }
 
 _METRICS = metrics.__name__
