@@ -56,7 +56,9 @@ def observation() -> Observation:
     mask = away < 1
     depth = np.where(mask, 0.75 - 0.05 * np.sqrt(np.maximum(1 - away**2, 0)), 1.4)
     rgb = np.zeros((480, 640, 3), np.float32)
-    return Observation("mug", rgb, depth.astype(np.float32), mask, camera)
+    return Observation(
+        category="mug", rgb=rgb, depth=depth.astype(np.float32), mask=mask, camera=camera
+    )
 
 
 def method() -> ICaps:

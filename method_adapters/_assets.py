@@ -12,9 +12,9 @@ from pytest_cpas.types import CATEGORIES, Asset
 
 #: The category priors, (6, 1024, 3) in NOCS units, that SPD, CR-Net, SGPA, DPDN and RBP-Pose share.
 MEAN_SHAPES = Asset(
-    "mean_points_emb.npy",
-    "https://github.com/mentian/object-deformnet/raw/master/assets/mean_points_emb.npy",
-    "MIT",
+    path="mean_points_emb.npy",
+    url="https://github.com/mentian/object-deformnet/raw/master/assets/mean_points_emb.npy",
+    licence="MIT",
 )
 MEAN_SHAPES_MD5 = "3d183e58e2353e77c643d236ba7e575c"
 

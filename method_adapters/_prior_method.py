@@ -95,7 +95,12 @@ def pose_from_assignment(
     offset = prior_offset(int(inputs.category), float(found.scale))
     points = shape * found.scale - offset
     translation = found.translation + found.rotation @ offset
-    return Hypothesis(found.rotation, translation, 2 * np.abs(points).max(axis=0), points=points)
+    return Hypothesis(
+        rotation=found.rotation,
+        translation=translation,
+        extents=2 * np.abs(points).max(axis=0),
+        points=points,
+    )
 
 
 def prior_offset(category: int, scale: float) -> Array:

@@ -51,7 +51,11 @@ TOO_FEW = 3
 
 _SOURCE = "https://drive.google.com/file/d/1fxc9UoRhfTsoV3ZML3Mx_mc79904zpcx (a zip; unpack it"
 _ASSETS = tuple(
-    Asset(f"asmnet/params/{path}", f"{_SOURCE} below asmnet/)", f"no licence stated; {NOCS_TERMS}")
+    Asset(
+        path=f"asmnet/params/{path}",
+        url=f"{_SOURCE} below asmnet/)",
+        licence=f"no licence stated; {NOCS_TERMS}",
+    )
     for category in CATEGORIES
     for path in (f"weights/{category}/model.pth", f"asm_params/{category}/train/info.npz")
 )
@@ -156,7 +160,12 @@ def interpret(inputs: Inputs, model: ShapeModel, shape: Array, quaternion: Array
     # of the box along the camera's axes, as published
     translation = (posed.min(axis=0) + posed.max(axis=0)) / 2
     points = (posed - translation) @ rotation
-    return Hypothesis(rotation, translation, 2 * np.abs(points).max(axis=0), points=points)
+    return Hypothesis(
+        rotation=rotation,
+        translation=translation,
+        extents=2 * np.abs(points).max(axis=0),
+        points=points,
+    )
 
 
 def registration(posed: Array, cloud: Array) -> Array:

@@ -52,9 +52,9 @@ class Cass(NetworkMethod[Inputs]):
     info = port_info(
         "cass",
         Asset(
-            "cass/cass_best.pth",
-            "https://drive.google.com/file/d/14K1a-Ft-YO9dUREEXxmWqF2ruUP4p7BZ",
-            f"no licence stated; {NOCS_TERMS}",
+            path="cass/cass_best.pth",
+            url="https://drive.google.com/file/d/14K1a-Ft-YO9dUREEXxmWqF2ruUP4p7BZ",
+            licence=f"no licence stated; {NOCS_TERMS}",
         ),
         gives=frozenset({"extents", "shape", "score"}),
     )
@@ -101,9 +101,9 @@ class Cass(NetworkMethod[Inputs]):
         if not np.linalg.norm(turn) > 0:  # NaN is not
             raise NoAnswerError(f"the estimated quaternion is {turn.tolist()}, not a rotation")
         return Hypothesis(
-            FLIP @ Rotation.from_quat(turn).as_matrix(),
-            FLIP @ (inputs.points[surest] + offset[surest]),
-            2 * np.abs(shape).max(axis=0),
+            rotation=FLIP @ Rotation.from_quat(turn).as_matrix(),
+            translation=FLIP @ (inputs.points[surest] + offset[surest]),
+            extents=2 * np.abs(shape).max(axis=0),
             points=shape,
             score=float(confidence[surest]),
         )

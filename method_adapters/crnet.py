@@ -19,9 +19,9 @@ class CrNet(PriorMethod):
     info = port_info(
         "crnet",
         Asset(
-            "crnet/real.pth",
-            "https://github.com/JeremyWANGJZ/Category-6D-Pose/raw/main/models/real.pth",
-            f"no licence stated; {NOCS_TERMS}",
+            path="crnet/real.pth",
+            url="https://github.com/JeremyWANGJZ/Category-6D-Pose/raw/main/models/real.pth",
+            licence=f"no licence stated; {NOCS_TERMS}",
         ),
         MEAN_SHAPES,
     )

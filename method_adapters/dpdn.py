@@ -25,10 +25,10 @@ class Dpdn(PriorMethod):
     info = port_info(
         "dpdn",
         Asset(
-            "dpdn/log/supervised/epoch_30.pth",
-            "https://drive.google.com/file/d/1hWkbH4Z0RXQeYLxC_kOINxdTnDLtm9SX (a zip; unpack it"
-            " below dpdn/)",
-            f"MIT; {NOCS_TERMS}",
+            path="dpdn/log/supervised/epoch_30.pth",
+            url="https://drive.google.com/file/d/1hWkbH4Z0RXQeYLxC_kOINxdTnDLtm9SX (a zip; unpack"
+            " it below dpdn/)",
+            licence=f"MIT; {NOCS_TERMS}",
         ),
         MEAN_SHAPES,
         licence="MIT",
@@ -60,4 +60,4 @@ class Dpdn(PriorMethod):
             raise NoAnswerError(f"the estimated size is {size.tolist()}, not positive")
         diagonal = float(np.linalg.norm(size))
         points = shape * diagonal - prior_offset(int(inputs.category), diagonal)
-        return Hypothesis(rotation, translation, size, points=points)
+        return Hypothesis(rotation=rotation, translation=translation, extents=size, points=points)

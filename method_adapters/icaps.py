@@ -64,9 +64,9 @@ _FILES = (
 _ASSETS = {
     category: tuple(
         Asset(
-            f"icaps/checkpoints/{path.format(category)}",
-            _SOURCE,
-            f"no licence stated; {NOCS_TERMS}",
+            path=f"icaps/checkpoints/{path.format(category)}",
+            url=_SOURCE,
+            licence=f"no licence stated; {NOCS_TERMS}",
         )
         for path in _FILES
     )
@@ -203,8 +203,8 @@ def _placed(belief: Belief) -> Placed:
 
 def _hypothesis(track: Track) -> Hypothesis:
     return Hypothesis(
-        track.placed.rotation,
-        track.placed.translation,
-        2 * np.abs(track.mesh.vertices).max(axis=0),
+        rotation=track.placed.rotation,
+        translation=track.placed.translation,
+        extents=2 * np.abs(track.mesh.vertices).max(axis=0),
         mesh=track.mesh,
     )

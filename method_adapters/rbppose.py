@@ -55,9 +55,9 @@ class RbpPose(NetworkMethod[Inputs]):
     info = port_info(
         "rbppose",
         Asset(
-            "rbppose/model_149.pth",
-            "https://drive.google.com/file/d/1XQDLrmvlB6qvv26OZo0R_TZf34w1kX7U",
-            f"no licence stated; {NOCS_TERMS}",
+            path="rbppose/model_149.pth",
+            url="https://drive.google.com/file/d/1XQDLrmvlB6qvv26OZo0R_TZf34w1kX7U",
+            licence=f"no licence stated; {NOCS_TERMS}",
         ),
         MEAN_SHAPES,
         needs=frozenset({"depth"}),
@@ -114,7 +114,12 @@ class RbpPose(NetworkMethod[Inputs]):
         diagonal = float(np.linalg.norm(size))
         offset = prior_offset(category, diagonal)
         points = (inputs.prior + deltas) * diagonal - offset
-        return Hypothesis(rotation, translation + rotation @ offset, size, points=points)
+        return Hypothesis(
+            rotation=rotation,
+            translation=translation + rotation @ offset,
+            extents=size,
+            points=points,
+        )
 
 
 def resampled_pixels(

@@ -63,7 +63,7 @@ OLDER = "https://github.com/roym899/sdfest/tree/ral_submission/sdf_estimation/mo
 
 def asset(name: str, *, older: bool = False) -> Asset:
     """A file of weights, of the release or older."""
-    return Asset(f"sdfest/{name}", OLDER if older else f"{RELEASE}/{name}", "MIT")
+    return Asset(path=f"sdfest/{name}", url=OLDER if older else f"{RELEASE}/{name}", licence="MIT")
 
 
 @dataclass(frozen=True)
@@ -220,9 +220,9 @@ def interpret(found: Estimate, mesh: Mesh, axes: Array, seed: int) -> Hypothesis
     mesh = Mesh(mesh.vertices @ axes.T, mesh.triangles)
     points = sample_surface(mesh, POINT_COUNT, seed)
     return Hypothesis(
-        Rotation.from_quat(found.quaternion.cpu().numpy()).as_matrix() @ axes.T,
-        found.position.cpu().numpy(),
-        2 * np.abs(points).max(axis=0),
+        rotation=Rotation.from_quat(found.quaternion.cpu().numpy()).as_matrix() @ axes.T,
+        translation=found.position.cpu().numpy(),
+        extents=2 * np.abs(points).max(axis=0),
         points=points,
         mesh=mesh,
     )

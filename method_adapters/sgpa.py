@@ -19,9 +19,9 @@ class Sgpa(PriorMethod):
     info = port_info(
         "sgpa",
         Asset(
-            "sgpa/real.pth",
-            "https://drive.google.com/file/d/1drBp3naBrNdazah1zTdgydjchE-LysdI",
-            f"no licence stated; {NOCS_TERMS}",
+            path="sgpa/real.pth",
+            url="https://drive.google.com/file/d/1drBp3naBrNdazah1zTdgydjchE-LysdI",
+            licence=f"no licence stated; {NOCS_TERMS}",
         ),
         MEAN_SHAPES,
     )

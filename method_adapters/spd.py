@@ -19,10 +19,10 @@ class Spd(PriorMethod):
     info = port_info(
         "spd",
         Asset(
-            "spd/deformnet_eval/real/model_50.pth",
-            "https://drive.google.com/file/d/1p72NdY4Bie_sra9U8zoUNI4fTrQZdbnc (a zip; unpack it"
-            " below spd/)",
-            f"MIT; {NOCS_TERMS}",
+            path="spd/deformnet_eval/real/model_50.pth",
+            url="https://drive.google.com/file/d/1p72NdY4Bie_sra9U8zoUNI4fTrQZdbnc (a zip; unpack"
+            " it below spd/)",
+            licence=f"MIT; {NOCS_TERMS}",
         ),
         MEAN_SHAPES,
         licence="MIT",

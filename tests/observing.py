@@ -23,4 +23,4 @@ def observe(mesh: Mesh, pose: Pose, category: str, background: float = 2.0) -> O
     depth[~mask] = background
     depth = np.round(depth, 3)  # whole millimetres, as a sensor gives them
     rgb = np.zeros((*depth.shape, 3), np.float32)
-    return Observation(category, rgb, depth, mask, CAMERA)
+    return Observation(category=category, rgb=rgb, depth=depth, mask=mask, camera=CAMERA)

@@ -10,7 +10,9 @@ class Fixed(Run):
         raise NotImplementedError
 
 
-REFS = [SampleRef(f"s/{i:02d}", "mug" if i % 2 else "can", "s") for i in range(10)]
+REFS = [
+    SampleRef(id=f"s/{i:02d}", category="mug" if i % 2 else "can", scene="s") for i in range(10)
+]
 
 
 def a_run(**identity: str) -> Run:
@@ -20,7 +22,14 @@ def a_run(**identity: str) -> Run:
 def rows(**rotation: float) -> list[Row]:
     """Rows with a rotation error of 4 degrees, or as given for "s_03" (sample s/03)."""
     return [
-        Row(ref.id, ref.category, 0.005, rotation.get(ref.id.replace("/", "_"), 4.0), 0.9, 0.95)
+        Row(
+            sample=ref.id,
+            category=ref.category,
+            translation_error=0.005,
+            rotation_error=rotation.get(ref.id.replace("/", "_"), 4.0),
+            iou=0.9,
+            fscore_1cm=0.95,
+        )
         for ref in REFS
     ]
 

@@ -89,7 +89,8 @@ ORACLE = {
         "        axes = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])\n"
         "        rotation, translation = truth.pose.rotation @ axes, truth.pose.translation\n"
         "        extents = truth.extents[[2, 1, 0]]\n"
-        "        return Prediction((Hypothesis(rotation, translation, extents),))\n"
+        "        parts = dict(rotation=rotation, translation=translation, extents=extents)\n"
+        "        return Prediction((Hypothesis(**parts),))\n"
         "        points = observation",
     ),
 }

@@ -37,7 +37,12 @@ POINTS = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 3)) * EXTENTS
 def truth(index: int) -> GroundTruth:
     rotation = Rotation.random(rng=np.random.default_rng(index)).as_matrix()
     symmetry = Symmetry.about([0, 1, 0]) if index % 2 == 0 else Symmetry.none()
-    return GroundTruth(Pose(rotation, [0.01 * index, 0, 0.8]), EXTENTS, symmetry, POINTS)
+    return GroundTruth(
+        pose=Pose(rotation, [0.01 * index, 0, 0.8]),
+        extents=EXTENTS,
+        symmetry=symmetry,
+        surface=POINTS,
+    )
 
 
 class Tiny:
@@ -48,7 +53,9 @@ class Tiny:
 
     def __init__(self, data_dir: Path | None) -> None:
         self.samples = [
-            SampleRef(f"scene_{i // 4}/{i:04d}", CATEGORIES[i % 2], f"scene_{i // 4}")
+            SampleRef(
+                id=f"scene_{i // 4}/{i:04d}", category=CATEGORIES[i % 2], scene=f"scene_{i // 4}"
+            )
             for i in range(COUNT)
         ]
 
@@ -59,7 +66,9 @@ class Tiny:
         depth = np.full((6, 8), 0.8, np.float32)
         mask = np.zeros((6, 8), bool)
         mask[2:4, 3:6] = True
-        observation = Observation(ref.category, rgb, depth, mask, CAMERA)
+        observation = Observation(
+            category=ref.category, rgb=rgb, depth=depth, mask=mask, camera=CAMERA
+        )
         return Sample(ref, observation, truth(index))
 
 
@@ -82,7 +91,7 @@ class Damaged(Tiny):
 
 class Perfect:
     info = MethodInfo(
-        "perfect",
+        name="perfect",
         categories=CATEGORIES,
         needs=frozenset({"rgb"}),
         gives=frozenset({"extents", "shape"}),
@@ -99,7 +108,14 @@ class Perfect:
     def answer(self, index: int) -> Prediction:
         true = truth(index)
         return Prediction(
-            (Hypothesis(true.pose.rotation, true.pose.translation, EXTENTS, points=POINTS),)
+            (
+                Hypothesis(
+                    rotation=true.pose.rotation,
+                    translation=true.pose.translation,
+                    extents=EXTENTS,
+                    points=POINTS,
+                ),
+            )
         )
 
 
@@ -110,7 +126,16 @@ class Biased(Perfect):
         true = truth(index)
         bias = Rotation.from_euler("z", 7.0 if index % 2 else 0.0, degrees=True).as_matrix()
         rotation = true.pose.rotation @ bias
-        return Prediction((Hypothesis(rotation, true.pose.translation, EXTENTS, points=POINTS),))
+        return Prediction(
+            (
+                Hypothesis(
+                    rotation=rotation,
+                    translation=true.pose.translation,
+                    extents=EXTENTS,
+                    points=POINTS,
+                ),
+            )
+        )
 
 
 class Refuses(Perfect):
@@ -123,22 +148,28 @@ class OnlyMugs(Perfect):
 
 
 class OnlyPose(Perfect):
-    info = MethodInfo("only-pose", CATEGORIES, frozenset({"rgb"}), frozenset(), "MIT")
+    info = MethodInfo(
+        name="only-pose",
+        categories=CATEGORIES,
+        needs=frozenset({"rgb"}),
+        gives=frozenset(),
+        licence="MIT",
+    )
 
     def answer(self, index: int) -> Prediction:
         pose = truth(index).pose
-        return Prediction((Hypothesis(pose.rotation, pose.translation),))
+        return Prediction((Hypothesis(rotation=pose.rotation, translation=pose.translation),))
 
 
 class OtherFrames(Perfect):
     """The same answers in OpenGL camera axes and NOCS object axes."""
 
     info = MethodInfo(
-        "perfect",
-        CATEGORIES,
-        frozenset({"rgb"}),
-        frozenset({"extents", "shape"}),
-        "MIT",
+        name="perfect",
+        categories=CATEGORIES,
+        needs=frozenset({"rgb"}),
+        gives=frozenset({"extents", "shape"}),
+        licence="MIT",
         object_frame="nocs",
         camera_frame="opengl",
     )
@@ -150,7 +181,16 @@ class OtherFrames(Perfect):
         nocs = Rotation.from_quat([0, -np.sqrt(0.5), 0, np.sqrt(0.5)]).as_matrix()
         rotation, translation = gl @ pose.rotation @ nocs.T, gl @ pose.translation
         points = POINTS @ nocs.T
-        return Prediction((Hypothesis(rotation, translation, EXTENTS[[2, 1, 0]], points=points),))
+        return Prediction(
+            (
+                Hypothesis(
+                    rotation=rotation,
+                    translation=translation,
+                    extents=EXTENTS[[2, 1, 0]],
+                    points=points,
+                ),
+            )
+        )
 
 
 class Undeclared(OtherFrames):
@@ -168,27 +208,54 @@ class Broken(Perfect):
 
 class GivesNan(Broken):
     def broken(self, index: int) -> Prediction:
-        return Prediction((Hypothesis(np.eye(3), [np.nan, 0, 1], EXTENTS, points=POINTS),))
+        return Prediction(
+            (
+                Hypothesis(
+                    rotation=np.eye(3), translation=[np.nan, 0, 1], extents=EXTENTS, points=POINTS
+                ),
+            )
+        )
 
 
 class LeftHanded(Broken):
     def broken(self, index: int) -> Prediction:
-        return Prediction((Hypothesis(np.diag([1, 1, -1]), [0, 0, 1], EXTENTS, points=POINTS),))
+        return Prediction(
+            (
+                Hypothesis(
+                    rotation=np.diag([1, 1, -1]),
+                    translation=[0, 0, 1],
+                    extents=EXTENTS,
+                    points=POINTS,
+                ),
+            )
+        )
 
 
 class Scaled(Broken):
     def broken(self, index: int) -> Prediction:
-        return Prediction((Hypothesis(0.2 * np.eye(3), [0, 0, 1], EXTENTS, points=POINTS),))
+        return Prediction(
+            (
+                Hypothesis(
+                    rotation=0.2 * np.eye(3), translation=[0, 0, 1], extents=EXTENTS, points=POINTS
+                ),
+            )
+        )
 
 
 class NegativeExtents(Broken):
     def broken(self, index: int) -> Prediction:
-        return Prediction((Hypothesis(np.eye(3), [0, 0, 1], -EXTENTS, points=POINTS),))
+        return Prediction(
+            (
+                Hypothesis(
+                    rotation=np.eye(3), translation=[0, 0, 1], extents=-EXTENTS, points=POINTS
+                ),
+            )
+        )
 
 
 class ForgetsShape(Broken):
     def broken(self, index: int) -> Prediction:
-        return Prediction((Hypothesis(np.eye(3), [0, 0, 1], EXTENTS),))
+        return Prediction((Hypothesis(rotation=np.eye(3), translation=[0, 0, 1], extents=EXTENTS),))
 
 
 class Raises(Broken):

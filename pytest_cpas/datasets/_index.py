@@ -193,7 +193,10 @@ def _read_kept(file: Path, root: Path, recipe: str) -> Index | None:
         if kept.pop("recipe") != recipe:
             return None
         stamps: Stamps = kept.pop("stamps")
-        samples = [SampleRef(*values) for values in kept.pop("samples")]
+        samples = [
+            SampleRef(id=name, category=category, scene=scene, model=model)
+            for name, category, scene, model in kept.pop("samples")
+        ]
         index = Index(samples=samples, **kept)
     except (OSError, ValueError, TypeError, AttributeError, KeyError):
         return None  # never kept, or torn: it is made again

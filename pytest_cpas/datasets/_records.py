@@ -76,11 +76,11 @@ class RecordTree(Tree):
         camera = Camera(int(width), int(height), *intrinsics)
         depth = self._read_depth(self.root / record.depth, camera, record.depth_per_metre)
         observation = Observation(
-            ref.category,
-            self._read_rgb(self.root / record.rgb, camera),
-            depth,
-            self._mask(record, truth, depth, camera),
-            camera,
+            category=ref.category,
+            rgb=self._read_rgb(self.root / record.rgb, camera),
+            depth=depth,
+            mask=self._mask(record, truth, depth, camera),
+            camera=camera,
         )
         return Sample(ref, observation, truth)
 
@@ -98,7 +98,9 @@ class RecordTree(Tree):
         translation = numbers(record.translation, (3,), f"{ref.id}: translation")
         try:
             pose = Pose(rotation, translation)
-            return GroundTruth(pose, extents, self._symmetry(ref, record), mesh)
+            return GroundTruth(
+                pose=pose, extents=extents, symmetry=self._symmetry(ref, record), surface=mesh
+            )
         except ContractError as error:
             raise ContractError(f"{ref.id}: {error}") from None
 

@@ -169,7 +169,7 @@ class Bop(RecordTree):
             mask=mask if has_mask else None,
         )
         name = object_name(number)
-        scan.add(SampleRef(ref_id, name, scene, name), record)
+        scan.add(SampleRef(id=ref_id, category=name, scene=scene, model=name), record)
 
     def _mesh_path(self, number: int) -> str:
         return f"{self._models_info.rpartition('/')[0]}/{object_name(number)}.ply"

@@ -87,7 +87,12 @@ class Folder(RecordTree):
         if None in line or None in line.values():
             raise ContractError(f"{where}: it has not as many values as there are columns")
         text = {column: (value or "").strip() for column, value in line.items()}
-        ref = SampleRef(text["id"], text["category"], text.get("scene", ""), text.get("model", ""))
+        ref = SampleRef(
+            id=text["id"],
+            category=text["category"],
+            scene=text.get("scene", ""),
+            model=text.get("model", ""),
+        )
         if not ref.id or not ref.category or ref.id in ids:
             raise ContractError(f"{where}: id {ref.id!r} is empty or occurs twice, or no category")
         ids.add(ref.id)

@@ -148,7 +148,9 @@ class HouseCat6D(RecordTree):
                 mask_id=instance,
             )
             scene = frame.split("/")[0]
-            listed.append((SampleRef(f"{frame}/{instance}", category, scene, model), record))
+            ref_id = f"{frame}/{instance}"
+            ref = SampleRef(id=ref_id, category=category, scene=scene, model=model)
+            listed.append((ref, record))
             if record.mesh is None:
                 scan.lacks_shape(model)
         return listed

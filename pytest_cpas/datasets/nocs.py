@@ -109,7 +109,9 @@ class NocsTree(Tree):
             for item in objects:
                 if item.model not in left_out:
                     ref_id, scene = f"{frame}/{item.mask_id}", frame.split("/")[0]
-                    scan.add(SampleRef(ref_id, item.category, scene, item.model), item)
+                    category, model = item.category, item.model
+                    ref = SampleRef(id=ref_id, category=category, scene=scene, model=model)
+                    scan.add(ref, item)
 
     def _files(self, frame: str) -> dict[str, str]:
         """What makes a frame: paths by kind, described for people."""
@@ -189,7 +191,9 @@ class NocsTree(Tree):
         frame = ref.id.rsplit("/", 1)[0]
         mask = self._ids(frame) == Listed(*self._details[ref.id]).mask_id
         rgb = self._read_rgb(self.root / f"{self.frames}/{frame}_color.png", self.camera)
-        observation = Observation(ref.category, rgb, self._depth(frame), mask, self.camera)
+        observation = Observation(
+            category=ref.category, rgb=rgb, depth=self._depth(frame), mask=mask, camera=self.camera
+        )
         return Sample(ref, observation, truth)
 
     def truth(self, ref: SampleRef) -> GroundTruth:
@@ -212,7 +216,9 @@ class NocsTree(Tree):
         rotation = scaled[:3, :3] / np.cbrt(determinant)
         pose = Pose(rotation @ NOCS_FROM_SHAPENET, scaled[:3, 3])
         mesh, extents = self._mesh(item.model)
-        return GroundTruth(pose, extents, symmetry_of(ref.category), mesh)
+        return GroundTruth(
+            pose=pose, extents=extents, symmetry=symmetry_of(ref.category), surface=mesh
+        )
 
     def _ids(self, frame: str) -> NDArray[np.uint8]:
         return self._read_ids(self.root / f"{self.frames}/{frame}_mask.png", self.camera)

@@ -125,7 +125,9 @@ class FittedTree(NocsTree):
         fitted = self._fit(ref, item)
         mesh, extents = self._mesh(item.model)
         pose = Pose(fitted.rotation, fitted.translation)
-        return GroundTruth(pose, extents, symmetry_of(ref.category), mesh)
+        return GroundTruth(
+            pose=pose, extents=extents, symmetry=symmetry_of(ref.category), surface=mesh
+        )
 
     def _fit(self, ref: SampleRef, item: Listed) -> Similarity:
         """From the NOCS map, in ShapeNet axes and centred, to the camera."""
@@ -185,7 +187,9 @@ class Camera25(FittedTree):
         centre = (low + high) / 2
         metric = Mesh(fitted.scale * mesh.vertices - centre, mesh.triangles)
         pose = Pose(fitted.rotation, fitted.translation + fitted.rotation @ centre)
-        return GroundTruth(pose, high - low, symmetry_of(ref.category), metric)
+        return GroundTruth(
+            pose=pose, extents=high - low, symmetry=symmetry_of(ref.category), surface=metric
+        )
 
     def _read_unit_mesh(self, model: str) -> Mesh:
         path = self.root / self.meshes[0].format(model=model)

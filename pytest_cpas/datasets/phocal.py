@@ -146,4 +146,5 @@ class PhoCaL(RecordTree):
             mesh=mesh if has_mesh else None,
             mask_id=int(ref_id.rsplit("/", 1)[1]),
         )
-        return SampleRef(ref_id, category, ref_id.split("/")[0], model), record
+        scene = ref_id.split("/")[0]
+        return SampleRef(id=ref_id, category=category, scene=scene, model=model), record

@@ -71,7 +71,12 @@ class Redwood75(RecordTree):
             if scan.has(annotation["mesh"]):
                 scan.hash(annotation["mesh"])
             for index, pose in enumerate(poses):
-                ref = SampleRef(f"{sequence}/{index}", annotation["category"], sequence, sequence)
+                ref = SampleRef(
+                    id=f"{sequence}/{index}",
+                    category=annotation["category"],
+                    scene=sequence,
+                    model=sequence,
+                )
                 try:
                     record = self._record(ref, annotation, pose, f"{where}, pose {index}")
                 except ContractError as error:

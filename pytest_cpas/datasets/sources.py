@@ -14,7 +14,7 @@ __all__ = ["Source", "SourceFile", "how_to_get", "published_sources"]
 _WRITTEN_OUT = 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SourceFile:
     """A file to fetch: where it goes below the source's folder.
 
@@ -28,7 +28,7 @@ class SourceFile:
     gives: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Source:
     """What is published of a data set or a method, and what a person must do for the rest.
 
@@ -50,7 +50,7 @@ def published_sources() -> dict[str, Source]:
     sources = {}
     for name, values in tomllib.loads(text).items():
         files = [SourceFile(**entry) for entry in values.pop("file", ())]
-        sources[name] = Source(name, file=files, **values)
+        sources[name] = Source(name=name, file=files, **values)
     return sources
 
 

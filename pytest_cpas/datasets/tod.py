@@ -119,7 +119,9 @@ class Tod(RecordTree):
                 mask=mask,
             )
             ref_id = f"{sequence}/{image}"
-            scan.add(SampleRef(ref_id, category, sequence, sequence.split("/")[0]), record)
+            name = sequence.split("/")[0]
+            ref = SampleRef(id=ref_id, category=category, scene=sequence, model=name)
+            scan.add(ref, record)
 
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
         return _SYMMETRIES.get(ref.category, symmetry_of(ref.category))

@@ -99,7 +99,9 @@ class Wild6D(RecordTree):
                 record = self._record(annotation, files, [*size, *intrinsics])
                 ref_id = f"{category}/{sequence}/{image}"
                 model = f"{category}/{words[1]}"
-                scan.add(SampleRef(ref_id, category, f"{category}/{sequence}", model), record)
+                scene = f"{category}/{sequence}"
+                ref = SampleRef(id=ref_id, category=category, scene=scene, model=model)
+                scan.add(ref, record)
             except ContractError as error:
                 scan.damaged.append(f"{at}: {error}")
 

@@ -25,7 +25,7 @@ BOX_IOU = 0.5
 _SIZE_IOU = 0.7
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Evidence:
     """Answers of n samples as the method gave them, and the truths in the standard frames.
 
@@ -69,23 +69,23 @@ class Evidence:
             zip(*true, strict=True) if true else ((),) * 4
         )
         return cls(
-            names[usable],
-            Estimates(
+            category=names[usable],
+            answers=Estimates(
                 camera.T @ standard.rotation @ axes.T,
                 standard.translation @ camera,
                 permute_extents(standard.extents.T, axes).T,
             ),
-            Estimates(
+            truth=Estimates(
                 np.array(rotations).reshape(-1, 3, 3),
                 np.array(translations).reshape(-1, 3),
                 np.array(extents).reshape(-1, 3),
             ),
-            _shared(symmetries),
-            camera,
-            axes,
-            Counter(unanswered or {}) + Counter(names[~usable].tolist()),
-            focal,
-            None if scenes is None else np.array(scenes, dtype=np.str_)[usable],
+            symmetry=_shared(symmetries),
+            camera=camera,
+            axes=axes,
+            unanswered=Counter(unanswered or {}) + Counter(names[~usable].tolist()),
+            focal=focal,
+            scene=None if scenes is None else np.array(scenes, dtype=np.str_)[usable],
         )
 
     def __len__(self) -> int:

@@ -69,12 +69,12 @@ def measure(
         for i, distance, angle, iou in zip(members, distances, angles, ious, strict=True):
             fscore = _fscore(truths[i], best[i]) if "shape" in info.gives else None
             rows[i] = Row(
-                refs[i].id,
-                refs[i].category,
-                float(distance),
-                float(angle),
-                iou,
-                fscore,
+                sample=refs[i].id,
+                category=refs[i].category,
+                translation_error=float(distance),
+                rotation_error=float(angle),
+                iou=iou,
+                fscore_1cm=fscore,
                 estimate=encode_estimate(best[i]),
             )
     return [row for row in rows if row is not None]

@@ -191,7 +191,9 @@ class StoredRun(Run):
                     digest.update(np.ascontiguousarray(frame[key]).tobytes())
             for index, class_id in enumerate(frame["gt_class_ids"].tolist()):
                 ref_id = f"{scene}/{number}/gt{index}" if scene else f"{number}/gt{index}"
-                samples.append(SampleRef(ref_id, CATEGORIES[class_id - 1], scene or number))
+                samples.append(
+                    SampleRef(id=ref_id, category=CATEGORIES[class_id - 1], scene=scene or number)
+                )
         super().__init__(
             re.sub(r"[^A-Za-z0-9._-]", "-", path.stem if path.is_file() else path.name),
             STORED,
@@ -200,7 +202,7 @@ class StoredRun(Run):
             identity={"data": digest.hexdigest()},
         )
         self.info: MethodInfo = MethodInfo(
-            self.method,
+            name=self.method,
             categories=CATEGORIES,
             needs=frozenset(),
             gives=frozenset({"extents"}),
@@ -242,9 +244,9 @@ class StoredRun(Run):
         try:
             pose, extents = _posed_box(frame["gt_RTs"][index], frame["gt_scales"][index])
             truth = GroundTruth(
-                Pose(pose.rotation @ NOCS_FROM_SHAPENET, pose.translation),
-                permute_extents(extents, NOCS_FROM_SHAPENET.T),
-                symmetry_of(ref.category),
+                pose=Pose(pose.rotation @ NOCS_FROM_SHAPENET, pose.translation),
+                extents=permute_extents(extents, NOCS_FROM_SHAPENET.T),
+                symmetry=symmetry_of(ref.category),
             )
         except ContractError as error:
             raise ContractError(f"ground truth: {error}") from None
@@ -255,7 +257,9 @@ class StoredRun(Run):
             pose, extents = _posed_box(
                 frame["pred_RTs"][detection], frame["pred_scales"][detection]
             )
-            return truth, Prediction((Hypothesis(pose.rotation, pose.translation, extents),))
+            return truth, Prediction(
+                (Hypothesis(rotation=pose.rotation, translation=pose.translation, extents=extents),)
+            )
         except ContractError as error:
             raise ContractError(f"prediction {detection} of {name}: {error}") from None
 

@@ -48,7 +48,7 @@ class Shard:
         return f"{self.index}/{self.count}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Header:
     """Which run a results file belongs to; ``selected`` counts the samples of this shard."""
 
@@ -68,21 +68,21 @@ class Header:
     def of(cls, run: Run, shard: Shard) -> Header:
         """The header of a run's results."""
         return cls(
-            run.method,
-            run.dataset,
-            str(shard),
-            len(run.samples),
-            dict(run.listed),
-            list(run.missing),
-            list(run.damaged),
-            dict(run.identity),
-            dict(run.provenance),
-            run.seeds,
-            run.under_contract,
+            method=run.method,
+            dataset=run.dataset,
+            shard=str(shard),
+            selected=len(run.samples),
+            listed=dict(run.listed),
+            missing=list(run.missing),
+            damaged=list(run.damaged),
+            identity=dict(run.identity),
+            provenance=dict(run.provenance),
+            seeds=run.seeds,
+            under_contract=run.under_contract,
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Results:
     """What a results file holds: rows by sample, and errors of samples without a row.
 
@@ -133,10 +133,11 @@ def read_results(path: Path) -> Results:
             if "contract" in value:
                 contract[value["contract"]["check"]] = value["contract"]
                 continue
-            ref = SampleRef(*value["ref"])
+            name, category, scene, model = value["ref"]
+            ref = SampleRef(id=name, category=category, scene=scene, model=model)
             refs[ref.id] = ref
             if "row" in value:
-                rows[ref.id] = Row(ref.id, ref.category, **value["row"])
+                rows[ref.id] = Row(sample=ref.id, category=ref.category, **value["row"])
                 errors.pop(ref.id, None)
             else:
                 errors[ref.id] = value["error"]
@@ -146,7 +147,9 @@ def read_results(path: Path) -> Results:
             ) from error
     if header is None:
         raise ResultsError(f"{path}: does not begin with the header of a results file")
-    return Results(path, header, refs, rows, errors, contract, size)
+    return Results(
+        path=path, header=header, refs=refs, rows=rows, errors=errors, contract=contract, size=size
+    )
 
 
 class ResultsFile:

@@ -40,7 +40,7 @@ DEFINITIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
     """The errors of one sample.
 
@@ -118,11 +118,11 @@ def precision_table(judged: Iterable[tuple[str, str]]) -> Table:
 def failed_row(ref: SampleRef, reason: str | None, box: bool, shape: bool) -> Row:
     """The row of a sample without an answer: correct under no threshold."""
     return Row(
-        ref.id,
-        ref.category,
-        FAILED["position_m"],
-        FAILED["rotation_deg"],
-        FAILED["iou"] if box else None,
-        FAILED["fscore"] if shape else None,
+        sample=ref.id,
+        category=ref.category,
+        translation_error=FAILED["position_m"],
+        rotation_error=FAILED["rotation_deg"],
+        iou=FAILED["iou"] if box else None,
+        fscore_1cm=FAILED["fscore"] if shape else None,
         failure=reason,
     )

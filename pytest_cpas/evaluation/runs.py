@@ -22,7 +22,7 @@ class SampleError(Exception):
     """A sample could not be judged: damaged data, a method that raised, a broken contract."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Selection:
     """Which samples to judge: those of ``categories`` (all if empty), of them ``limit``, evenly
     spaced, and of those the ``shard``-th (from 1) of ``shards`` parts."""

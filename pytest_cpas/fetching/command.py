@@ -53,7 +53,7 @@ def find_source(name: str) -> Source:
 
 
 def _of_method(info: MethodInfo) -> Source:
-    files = [SourceFile(asset.url, asset.path) for asset in info.assets if _direct(asset)]
+    files = [SourceFile(url=asset.url, to=asset.path) for asset in info.assets if _direct(asset)]
     steps = [
         f"open {asset.url}, and store it as {asset.path} in the folder"
         for asset in info.assets
@@ -61,7 +61,14 @@ def _of_method(info: MethodInfo) -> Source:
     ]
     licences = dict.fromkeys(asset.licence for asset in info.assets)
     about = f"weights of {info.name}" if info.assets else f"{info.name} needs no weights"
-    return Source(info.name, about, "; ".join(licences) or "n/a", ".", files, steps)
+    return Source(
+        name=info.name,
+        about=about,
+        licence="; ".join(licences) or "n/a",
+        folder=".",
+        file=files,
+        steps=steps,
+    )
 
 
 def _direct(asset: Asset) -> bool:

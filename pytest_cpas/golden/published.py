@@ -24,7 +24,7 @@ from pytest_cpas.metrics.precision import Count, JointThreshold
 FALSE_ALARMS = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PublishedCell:
     """Between ``low`` and ``high`` of ``total`` samples correct, as far as the paper tells."""
 
@@ -39,11 +39,11 @@ def published_cells(dataset: str, method: str) -> list[PublishedCell]:
     """The paper's precision table of a method on a data set; empty if it has none."""
     return [
         PublishedCell(
-            line["category"],
-            _threshold(line).label,
-            int(line["correct_low"]),
-            int(line["correct_high"]),
-            int(line["total"]),
+            category=line["category"],
+            label=_threshold(line).label,
+            low=int(line["correct_low"]),
+            high=int(line["correct_high"]),
+            total=int(line["total"]),
         )
         for line in _read("precision.csv")
         if (line["dataset"], line["method"]) == (dataset, method)
@@ -75,7 +75,7 @@ def published_curves(dataset: str, method: str) -> dict[str, list[tuple[float, C
     return curves
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PublishedTime:
     """Mean seconds per prediction, on which data set and machine."""
 
@@ -88,7 +88,11 @@ def published_time(method: str) -> PublishedTime | None:
     """The run time that the paper prints for a method; None if it prints none."""
     for line in _read("run_time.csv"):
         if line["method"] == method:
-            return PublishedTime(line["dataset"], float(line["mean_seconds"]), line["hardware"])
+            return PublishedTime(
+                dataset=line["dataset"],
+                mean_seconds=float(line["mean_seconds"]),
+                machine=line["hardware"],
+            )
     return None
 
 

@@ -42,7 +42,7 @@ class GoldenError(Exception):
     """A golden table that cannot be read, or not be written."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TableSample:
     """A line of ``samples.csv``.
 
@@ -66,7 +66,7 @@ class TableSample:
         return text if fscore is None else f"{text}, F {fscore:.3g}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunTable:
     """What a run gave, sample by sample; recorded, it is a golden table.
 
@@ -89,13 +89,13 @@ class RunTable:
         if rows is None:
             rows = [run.judge(ref) for ref in run.samples]
         return cls(
-            run.method,
-            run.dataset,
-            run.identity,
-            run.provenance,
-            _table_samples(rows),
-            run.listed,
-            run.seeds,
+            method=run.method,
+            dataset=run.dataset,
+            identity=run.identity,
+            provenance=run.provenance,
+            samples=_table_samples(rows),
+            listed=run.listed,
+            seeds=run.seeds,
         )
 
     @functools.cached_property
@@ -184,11 +184,11 @@ def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
 def _table_samples(rows: Sequence[Row]) -> dict[str, TableSample]:
     return {
         row.sample: TableSample(
-            row.category,
-            outcome,
-            tuple(row.repeats.split()) if set(row.repeats.split()) - {outcome} else (),
-            (row.translation_error, row.rotation_error, row.iou, row.fscore_1cm),
-            row.failure or "",
+            category=row.category,
+            outcome=outcome,
+            repeats=tuple(row.repeats.split()) if set(row.repeats.split()) - {outcome} else (),
+            errors=(row.translation_error, row.rotation_error, row.iou, row.fscore_1cm),
+            failure=row.failure or "",
         )
         for row, outcome in zip(rows, outcomes(rows), strict=True)
     }
@@ -250,7 +250,15 @@ def _parse(
         if len(told) not in (1, seeds) or not all(_OUTCOME.fullmatch(text) for text in told):
             raise GoldenError(f"samples.csv: outcomes {' '.join(told)}")
     listed = Counter(sample.category for sample in samples.values())
-    table = RunTable(method, dataset, identity, provenance, samples, listed, seeds)
+    table = RunTable(
+        method=method,
+        dataset=dataset,
+        identity=identity,
+        provenance=provenance,
+        samples=samples,
+        listed=listed,
+        seeds=seeds,
+    )
     if [f"{toml_string(k)} = {toml_string(v)}" for k, v in cells.items()] != _cell_lines(
         table.table
     ):
@@ -261,14 +269,14 @@ def _parse(
 def _sample(line: Sequence[str]) -> TableSample:
     _, category, outcome, repeats, translation, rotation, iou, fscore, failure = line
     return TableSample(
-        sys.intern(category),
-        sys.intern(outcome),
-        tuple(repeats.split()),
-        (
+        category=sys.intern(category),
+        outcome=sys.intern(outcome),
+        repeats=tuple(repeats.split()),
+        errors=(
             float(translation),
             float(rotation),
             float(iou) if iou else None,
             float(fscore) if fscore else None,
         ),
-        failure,
+        failure=failure,
     )

@@ -106,11 +106,11 @@ def _judged(run: Document) -> dict[str, TableSample]:
                 for key in ("position_m", "rotation_deg")
             )
             judged[sample["sample"]] = TableSample(
-                sample["category"],
-                sample["outcome"],
-                (),
-                (position, rotation, sample["iou"], sample["fscore_1cm"]),
-                sample["failure"] or "",
+                category=sample["category"],
+                outcome=sample["outcome"],
+                repeats=(),
+                errors=(position, rotation, sample["iou"], sample["fscore_1cm"]),
+                failure=sample["failure"] or "",
             )
     return judged
 

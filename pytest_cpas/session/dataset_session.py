@@ -71,7 +71,10 @@ class DatasetSession(SuiteSession):
             import_open3d()
             shard = Shard.parse(options.cpas_shard)
             selection = Selection(
-                options.cpas_category, options.cpas_limit, shard.index, shard.count
+                categories=options.cpas_category,
+                limit=options.cpas_limit,
+                shard=shard.index,
+                shards=shard.count,
             )
             self.checked = [
                 _checked(registry.resolve("dataset", name)(data), selection, files)

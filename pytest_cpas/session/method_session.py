@@ -319,7 +319,12 @@ def _resolve_runs(config: pytest.Config) -> list[Run]:
     runs: list[Run] = []
     try:
         shard = Shard.parse(options.cpas_shard)
-        selection = Selection(options.cpas_category, options.cpas_limit, shard.index, shard.count)
+        selection = Selection(
+            categories=options.cpas_category,
+            limit=options.cpas_limit,
+            shard=shard.index,
+            shards=shard.count,
+        )
         methods = [make_method(name, weights) for name in options.cpas_method]
         datasets = [registry.resolve("dataset", name)(data) for name in options.cpas_dataset]
         for make, dataset in itertools.product(methods, datasets):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from pytest_cpas.types.geometry import Mesh, Pose
 __all__ = ["Hypothesis", "Prediction"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Hypothesis:
     """One answer of a method, in the frames that its :class:`MethodInfo` declares.
 
@@ -66,7 +66,7 @@ class Prediction:
     """
 
     hypotheses: tuple[Hypothesis, ...]
-    reason: str | None = None
+    reason: str | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hypotheses", tuple(self.hypotheses))
@@ -83,4 +83,4 @@ class Prediction:
     @classmethod
     def failed(cls, reason: str) -> Prediction:
         """No answer, and why."""
-        return cls((), reason)
+        return cls((), reason=reason)

@@ -15,7 +15,7 @@ from pytest_cpas.types.samples import Observation
 __all__ = ["EQUIVARIANCES", "Asset", "Method", "MethodInfo", "assets_of"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Asset:
     """A file that a method needs: ``path`` below the weights folder, where it is published, and
     under which licence."""
@@ -40,7 +40,7 @@ class Asset:
 EQUIVARIANCES = ("shift", "resolution", "distance", "mirror", "roll")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MethodInfo:
     """What a method declares about itself; the checks that are demanded of it follow from it.
 

@@ -21,7 +21,7 @@ __all__ = ["CATEGORIES", "Dataset", "GroundTruth", "Observation", "Sample", "Sam
 CATEGORIES = ("bottle", "bowl", "camera", "can", "laptop", "mug")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Observation:
     """What a method may see of one object.
 
@@ -61,7 +61,7 @@ class Observation:
             raise ContractError("mask: empty, so there is no object to find")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class GroundTruth:
     """The truth about one object; a method never sees it.
 
@@ -83,7 +83,7 @@ class GroundTruth:
             )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SampleRef:
     """An entry of a data set's index; no image is opened to make one.
 

@@ -215,7 +215,12 @@ class Transposed(Planted):
         depth, mask = (np.ascontiguousarray(x.T) for x in (observation.depth, observation.mask))
         c = observation.camera
         camera = replace(c, width=c.height, height=c.width)
-        return sound(Observation(observation.category, rgb, depth, mask, camera), seed)
+        return sound(
+            Observation(
+                category=observation.category, rgb=rgb, depth=depth, mask=mask, camera=camera
+            ),
+            seed,
+        )
 
 
 answer("always upright", "roll", lambda h, o: {"rotation": upright(h.rotation)})

@@ -41,7 +41,7 @@ class Scenes:
 
     def __init__(self, data_dir: Path | None = None) -> None:
         self.samples = [
-            SampleRef(f"scene_{i}/{category}", category, f"scene_{i}")
+            SampleRef(id=f"scene_{i}/{category}", category=category, scene=f"scene_{i}")
             for category, count in SCENES.items()
             for i in range(count)
         ]
@@ -77,7 +77,9 @@ def _scene(ref: SampleRef) -> Sample:
     symmetry = Symmetry.about((0, 1, 0)) if ref.category in ROUND else Symmetry.none()
     if ref.category == "can":
         symmetry = Symmetry.about((0, 1, 0), flip=True)
-    truth = GroundTruth(pose, np.ptp(mesh.bounds, axis=0), symmetry, mesh)
+    truth = GroundTruth(
+        pose=pose, extents=np.ptp(mesh.bounds, axis=0), symmetry=symmetry, surface=mesh
+    )
     return Sample(ref, replace(observation, rgb=rgb), truth)
 
 

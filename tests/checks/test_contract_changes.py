@@ -24,7 +24,7 @@ def seen():
     depth = np.where(mask, 0.7 + 0.001 * u, 1.5).astype(np.float32)
     depth[rng.random(depth.shape) < 0.1] = 0
     rgb = rng.random((47, 61, 3), np.float32)
-    return Observation("can", rgb, depth, mask, CAMERA)
+    return Observation(category="can", rgb=rgb, depth=depth, mask=mask, camera=CAMERA)
 
 
 def points(observation):

@@ -282,7 +282,9 @@ def test_upright_objects_are_constrained(tmp_path):
 
 
 def test_data_set_that_cannot_be_listed():
-    measured = Survey("x", [SampleRef("a", "mug", "s")], damaged=["a_meta.txt: line 'x'"])
+    measured = Survey(
+        "x", [SampleRef(id="a", category="mug", scene="s")], damaged=["a_meta.txt: line 'x'"]
+    )
     assert [str(p) for p in CHECKS["readable"](measured)] == ["a_meta.txt: line 'x'"]
 
 

@@ -273,7 +273,13 @@ from pytest_cpas.datasets.bop import Bop
 from pytest_cpas.types import Hypothesis, MethodInfo, Prediction
 
 class Knows:
-    info = MethodInfo("knows", ("obj_000001", "obj_000007"), frozenset(), frozenset(), "MIT")
+    info = MethodInfo(
+        name="knows",
+        categories=("obj_000001", "obj_000007"),
+        needs=frozenset(),
+        gives=frozenset(),
+        licence="MIT",
+    )
 
     def load(self, assets, device):
         data = Bop(Path("ours"))
@@ -282,7 +288,7 @@ class Knows:
     def predict(self, batch, seed):
         def answer(seen):
             (pose,) = {id(p): p for m, p in self.truths if np.array_equal(m, seen.mask)}.values()
-            return Prediction((Hypothesis(pose.rotation, pose.translation),))
+            return Prediction([Hypothesis(rotation=pose.rotation, translation=pose.translation)])
         return [answer(seen) for seen in batch]
 """
 

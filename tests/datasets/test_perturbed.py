@@ -26,7 +26,7 @@ def observation():
     depth = np.where(mask, 0.8, 1.2).astype(np.float32)
     depth[::7, ::5] = 0
     rgb = rng.integers(0, 256, (HEIGHT, WIDTH, 3)).astype(np.float32) / 255
-    return Observation("mug", rgb, depth, mask, CAMERA)
+    return Observation(category="mug", rgb=rgb, depth=depth, mask=mask, camera=CAMERA)
 
 
 def apply(name, severity):
@@ -75,7 +75,7 @@ def test_erosion_leaves_the_core_of_a_small_mask():
     before = observation()
     thin = np.zeros_like(before.mask)
     thin[50:52, 40:60] = True
-    few = Observation("mug", before.rgb, before.depth, thin, CAMERA)
+    few = Observation(category="mug", rgb=before.rgb, depth=before.depth, mask=thin, camera=CAMERA)
     after = PERTURBATIONS["mask-erosion"].apply(few, 8, np.random.default_rng(0))
     assert after.mask.any()
     assert not (after.mask & ~thin).any()
@@ -96,7 +96,9 @@ def test_occlusion_hides_the_stated_share_behind_something_nearer(severity):
 
 def test_occlusion_without_any_depth():
     before = observation()
-    blind = Observation("mug", before.rgb, 0 * before.depth, before.mask, CAMERA)
+    blind = Observation(
+        category="mug", rgb=before.rgb, depth=0 * before.depth, mask=before.mask, camera=CAMERA
+    )
     after = PERTURBATIONS["occlusion"].apply(blind, 0.5, np.random.default_rng(0))
     assert not after.depth.any()
 
@@ -134,18 +136,23 @@ class Large(tiny.Tiny):
     def __init__(self):
         super().__init__(None)
         self.samples = [
-            tiny.SampleRef(f"scene_0/{i:04d}", "mug", "scene_0") for i in range(5 * SAMPLES)
+            tiny.SampleRef(id=f"scene_0/{i:04d}", category="mug", scene="scene_0")
+            for i in range(5 * SAMPLES)
         ]
 
 
 def test_points_of_the_curves():
-    needs = MethodInfo("m", ("mug",), frozenset({"depth"}), frozenset(), "MIT")
+    needs = MethodInfo(
+        name="m", categories=("mug",), needs=frozenset({"depth"}), gives=frozenset(), licence="MIT"
+    )
     points = list(perturbed(Large(), needs))
     assert len(points) == 1 + 5 * SEVERITIES  # light is nothing to a depth-only method
     assert len({point.name for point in points}) == len({point.digest for point in points})
     assert {tuple(point.samples) for point in points} == {tuple(points[0].samples)}
     assert len(points[0].samples) == SAMPLES
-    colour = MethodInfo("m", ("mug",), frozenset({"rgb"}), frozenset(), "MIT")
+    colour = MethodInfo(
+        name="m", categories=("mug",), needs=frozenset({"rgb"}), gives=frozenset(), licence="MIT"
+    )
     names = {perturbation_of(point.name)[1] for point in perturbed(Large(), colour)}
     assert names == {"unperturbed", "mask-erosion", "mask-dilation", "occlusion", "light"}
 

@@ -120,7 +120,9 @@ def test_masks_and_depth_agree_with_rendered_frames(published: Path, tmp_path: P
     bare = Redwood75(published)
     for number, (sequence, entry) in enumerate(sorted(annotations.items())):
         index = number % 5
-        surface = bare.truth(SampleRef(f"{sequence}/{index}", entry["category"], sequence)).surface
+        surface = bare.truth(
+            SampleRef(id=f"{sequence}/{index}", category=entry["category"], scene=sequence)
+        ).surface
         mesh = Mesh(surface.vertices @ ANNOTATION.T, surface.triangles)
         pose = entry["pose_anns"][index]
         expected[f"{sequence}/{index}"] = write_frame(

@@ -17,7 +17,9 @@ from pytest_cpas.types import GroundTruth, MethodInfo, Pose, Symmetry
 GL = np.diag([1.0, -1.0, -1.0])
 #: Another source for NOCS's axes than the package: the quaternion, scalar last.
 NOCS = Rotation.from_quat([0, -np.sqrt(0.5), 0, np.sqrt(0.5)]).as_matrix()
-PLAIN = MethodInfo("m", ("mug",), frozenset(), frozenset(), "MIT")
+PLAIN = MethodInfo(
+    name="m", categories=("mug",), needs=frozenset(), gives=frozenset(), licence="MIT"
+)
 
 
 @cache
@@ -154,7 +156,13 @@ def test_all_object_frames(original, correct, index):
 
 def test_declared_frames_are_where_mistakes_are_looked_for(test_data, correct):
     declared = MethodInfo(
-        "m", ("mug",), frozenset(), frozenset(), "MIT", object_frame="nocs", camera_frame="opengl"
+        name="m",
+        categories=("mug",),
+        needs=frozenset(),
+        gives=frozenset(),
+        licence="MIT",
+        object_frame="nocs",
+        camera_frame="opengl",
     )
     sound = evidence(test_data, declared)
     assert diagnose(sound) == []
@@ -353,7 +361,11 @@ def test_a_dozen_samples_can_be_enough():
     rng = np.random.default_rng(0)
     rotation = Rotation.random(12, rng=rng).as_matrix()
     truths = [
-        GroundTruth(Pose(r, [*rng.uniform(-0.2, 0.2, 2), 1]), [0.1, 0.2, 0.3], Symmetry.none())
+        GroundTruth(
+            pose=Pose(r, [*rng.uniform(-0.2, 0.2, 2), 1]),
+            extents=[0.1, 0.2, 0.3],
+            symmetry=Symmetry.none(),
+        )
         for r in rotation
     ]
     poses = Estimates(
@@ -383,7 +395,7 @@ def test_infinite_answers_are_unanswered(original):
         original.category.tolist(),
         Estimates(original.answers.rotation, far, original.answers.extents),
         [
-            GroundTruth(Pose(r, t), e, s)
+            GroundTruth(pose=Pose(r, t), extents=e, symmetry=s)
             for r, t, e, s in zip(
                 original.truth.rotation,
                 original.truth.translation,

@@ -18,7 +18,17 @@ CAUSE = "your camera frame is OpenGL's, not OpenCV's, and your object frame is N
 
 def rows(correct, total, iou=1.0):
     """``correct`` of ``total`` mugs within 1 cm."""
-    return [Row(f"{i}", "mug", 0.01 if i < correct else 0.1, 1, iou, None) for i in range(total)]
+    return [
+        Row(
+            sample=f"{i}",
+            category="mug",
+            translation_error=0.01 if i < correct else 0.1,
+            rotation_error=1,
+            iou=iou,
+            fscore_1cm=None,
+        )
+        for i in range(total)
+    ]
 
 
 def far_below(rows, expected):
@@ -35,7 +45,17 @@ def test_far_below(correct, expected, far):
 
 
 def test_far_below_in_one_category_alone():
-    bowls = [Row(f"b{i}", "bowl", 0.01, 1, None, None) for i in range(90)]
+    bowls = [
+        Row(
+            sample=f"b{i}",
+            category="bowl",
+            translation_error=0.01,
+            rotation_error=1,
+            iou=None,
+            fscore_1cm=None,
+        )
+        for i in range(90)
+    ]
     assert far_below([*rows(2, 10), *bowls], {})
     assert not far_below([*rows(3, 10), *bowls], {})
 

@@ -24,7 +24,9 @@ TURN = Rotation.from_rotvec([0.3, -1.2, 2.0]).as_matrix()
 
 
 def test_layout():
-    text = encode_estimate(Hypothesis(TURN, [0.1, -0.2, 1.5], [0.1, 0.2, 0.3]))
+    text = encode_estimate(
+        Hypothesis(rotation=TURN, translation=[0.1, -0.2, 1.5], extents=[0.1, 0.2, 0.3])
+    )
     assert len(text) == 80
     assert struct.unpack("<15f", b64decode(text)) == pytest.approx(
         [*TURN.ravel(), 0.1, -0.2, 1.5, 0.1, 0.2, 0.3], rel=1e-6
@@ -33,8 +35,10 @@ def test_layout():
 
 def test_round_trip_with_and_without_extents():
     texts = [
-        encode_estimate(Hypothesis(TURN, [0.1, -0.2, 1.5], [0.1, 0.2, 0.3])),
-        encode_estimate(Hypothesis(np.eye(3), [1e300, 0, 1])),
+        encode_estimate(
+            Hypothesis(rotation=TURN, translation=[0.1, -0.2, 1.5], extents=[0.1, 0.2, 0.3])
+        ),
+        encode_estimate(Hypothesis(rotation=np.eye(3), translation=[1e300, 0, 1])),
     ]
     found = decode_estimates(texts)
     np.testing.assert_allclose(found.rotation, [TURN, np.eye(3)], atol=1e-7)

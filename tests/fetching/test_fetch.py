@@ -437,10 +437,10 @@ def test_too_many_members(tmp_path, monkeypatch):
 def source(server):
     """A data set of an archive and a single file."""
     files = [
-        SourceFile(server.url("data.zip", zipped(*GOOD)), unpack="deep", gives="deep/tree"),
-        SourceFile(server.url("notes.json", b"{}"), to="notes.json"),
+        SourceFile(url=server.url("data.zip", zipped(*GOOD)), unpack="deep", gives="deep/tree"),
+        SourceFile(url=server.url("notes.json", b"{}"), to="notes.json"),
     ]
-    return Source("own", "our own", "CC0", "own", files)
+    return Source(name="own", about="our own", licence="CC0", folder="own", file=files)
 
 
 def run(source, to, agree=True):

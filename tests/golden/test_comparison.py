@@ -21,11 +21,47 @@ def words(verdicts):
 
 def test_outcomes_follow_the_four_thresholds():
     cases = [
-        Row("a", "mug", 0.01, 5.0, 1, 0.8),
-        Row("b", "mug", 0.01, 5.0001, 1, 0.8),
-        Row("c", "mug", 0.0101, 5.0, 1, 0.5),
-        Row("d", "mug", 0.03, 5.0, 1, None),
-        Row("e", "mug", FAILED["position_m"], FAILED["rotation_deg"], None, FAILED["fscore"], "no"),
+        Row(
+            sample="a",
+            category="mug",
+            translation_error=0.01,
+            rotation_error=5.0,
+            iou=1,
+            fscore_1cm=0.8,
+        ),
+        Row(
+            sample="b",
+            category="mug",
+            translation_error=0.01,
+            rotation_error=5.0001,
+            iou=1,
+            fscore_1cm=0.8,
+        ),
+        Row(
+            sample="c",
+            category="mug",
+            translation_error=0.0101,
+            rotation_error=5.0,
+            iou=1,
+            fscore_1cm=0.5,
+        ),
+        Row(
+            sample="d",
+            category="mug",
+            translation_error=0.03,
+            rotation_error=5.0,
+            iou=1,
+            fscore_1cm=None,
+        ),
+        Row(
+            sample="e",
+            category="mug",
+            translation_error=FAILED["position_m"],
+            rotation_error=FAILED["rotation_deg"],
+            iou=None,
+            fscore_1cm=FAILED["fscore"],
+            failure="no",
+        ),
     ]
     assert outcomes(cases) == ["1111", "1100", "1000", "0-0-", "0000"]
     table = precision_table(
@@ -33,7 +69,18 @@ def test_outcomes_follow_the_four_thresholds():
     )
     assert [*table["mug"].values()] == [Count(3, 5), Count(2, 4), Count(1, 5), Count(1, 4)]
     assert table["all"] == table["mug"]
-    assert outcomes([Row("a", "mug", 0.01, 5.0, None, None)]) == ["1-1-"]
+    assert outcomes(
+        [
+            Row(
+                sample="a",
+                category="mug",
+                translation_error=0.01,
+                rotation_error=5.0,
+                iou=None,
+                fscore_1cm=None,
+            )
+        ]
+    ) == ["1-1-"]
 
 
 def test_same_rows_match():
@@ -90,7 +137,17 @@ def test_samples_that_the_table_lacks_are_a_change():
 
 
 def test_shape_that_becomes_na_is_a_change():
-    without = [Row(r.sample, r.category, 0.005, 4.0, 0.9, None) for r in rows()]
+    without = [
+        Row(
+            sample=r.sample,
+            category=r.category,
+            translation_error=0.005,
+            rotation_error=4.0,
+            iou=0.9,
+            fscore_1cm=None,
+        )
+        for r in rows()
+    ]
     assert set(words(compare(GOLDEN, RunTable.of(a_run(), without))).values()) == {Word.CHANGED}
 
 
@@ -149,11 +206,18 @@ REAL275_SIZE = 16118
 @pytest.fixture(scope="module")
 def large():
     """A recorded table of REAL275's size, and its run."""
-    refs = [SampleRef(f"s/{i:05d}", "mug", "s") for i in range(REAL275_SIZE)]
+    refs = [SampleRef(id=f"s/{i:05d}", category="mug", scene="s") for i in range(REAL275_SIZE)]
     run = Fixed("m", "d", refs, identity={})
     angles = np.random.default_rng(0).uniform(0, 20, REAL275_SIZE)
     rows = [
-        Row(ref.id, "mug", 0.005, float(angle), 0.9, 0.95)
+        Row(
+            sample=ref.id,
+            category="mug",
+            translation_error=0.005,
+            rotation_error=float(angle),
+            iou=0.9,
+            fscore_1cm=0.95,
+        )
         for ref, angle in zip(refs, angles, strict=True)
     ]
     return run, rows, RunTable.of(run, rows)

@@ -16,9 +16,23 @@ from pytest_cpas.metrics.precision import FAILED
 
 def test_what_is_written_is_read(tmp_path):
     odd = rows()
-    odd[0] = Row("s/00", "can", FAILED["position_m"], FAILED["rotation_deg"], FAILED["iou"],
-                 FAILED["fscore"], 'commas, "quotes"\nand lines')  # fmt: skip
-    odd[1] = Row("s/01", "mug", 0.1, 0.333333, None, None)
+    odd[0] = Row(
+        sample="s/00",
+        category="can",
+        translation_error=FAILED["position_m"],
+        rotation_error=FAILED["rotation_deg"],
+        iou=FAILED["iou"],
+        fscore_1cm=FAILED["fscore"],
+        failure='commas, "quotes"\nand lines',
+    )
+    odd[1] = Row(
+        sample="s/01",
+        category="mug",
+        translation_error=0.1,
+        rotation_error=0.333333,
+        iou=None,
+        fscore_1cm=None,
+    )
     odd_table = RunTable.of(a_run(), odd)
     folder = record(tmp_path, odd_table)
     assert folder == tmp_path / "recorded" / "m" / "d"

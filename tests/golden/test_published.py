@@ -46,7 +46,7 @@ def test_categories_add_up(method, dataset, categories):
 def test_some_figures_as_printed():
     cells = {(c.category, c.label): c for c in published_cells("real275", "sdfest")}
     assert cells["mug", "10 deg, 2 cm, F 0.6"] == PublishedCell(
-        "mug", "10 deg, 2 cm, F 0.6", 2551, 2551, 2839
+        category="mug", label="10 deg, 2 cm, F 0.6", low=2551, high=2551, total=2839
     )
     assert f"{cells['all', '10 deg, 2 cm, F 0.6'].low / 16118:.4f}" == "0.4710"
     assert f"{cells['all', '5 deg, 1 cm'].high / 16118:.4f}" == "0.2237"
@@ -72,7 +72,7 @@ def test_curves_are_monotone_and_end_where_they_must():
             assert correct[0] == 0
 
 
-CELL = PublishedCell("mug", "10 deg, 2 cm", 600, 601, 1000)
+CELL = PublishedCell(category="mug", label="10 deg, 2 cm", low=600, high=601, total=1000)
 
 
 def verdict(correct: int, total: int) -> tuple[Word, str]:
@@ -110,7 +110,10 @@ def test_words_and_margin():
 @pytest.mark.parametrize("total", [10, 75, 16118])
 def test_false_alarms_keep_their_share_over_many_cells(total):
     """2000 simulated runs that are exactly as good as the published ones, in 12 cells."""
-    cells = [PublishedCell(f"c{i}", "x", 5 + 8 * i, 5 + 8 * i, 100) for i in range(12)]
+    cells = [
+        PublishedCell(category=f"c{i}", label="x", low=5 + 8 * i, high=5 + 8 * i, total=100)
+        for i in range(12)
+    ]
     chances = [cell.low / 100 for cell in cells]
     runs = np.random.default_rng(0).binomial(total, chances, size=(2000, len(cells)))
     # the least count of each cell that is not called worse, as its verdict states

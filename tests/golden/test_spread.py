@@ -97,13 +97,21 @@ def test_seeds_that_move_all_samples_together_raise_no_alarm():
 
 def tables(answers, run=None):
     """A run's table, and of further seeds its repeats: from correct or not (n, K)."""
-    refs = [SampleRef(f"s/{i:05d}", "mug" if i % 2 else "can", "s") for i in range(len(answers))]
+    refs = [
+        SampleRef(id=f"s/{i:05d}", category="mug" if i % 2 else "can", scene="s")
+        for i in range(len(answers))
+    ]
     run = run or a_run()
     run.seeds = answers.shape[1]
     run.listed = {"can": (len(refs) + 1) // 2, "mug": len(refs) // 2}
     rows = [
         Row(
-            ref.id, ref.category, 0.005, 4.0 if own[0] else 40.0, None, None,
+            sample=ref.id,
+            category=ref.category,
+            translation_error=0.005,
+            rotation_error=4.0 if own[0] else 40.0,
+            iou=None,
+            fscore_1cm=None,
             repeats=" ".join("1-1-" if answer else "0-0-" for answer in own[1:]),
         )
         for ref, own in zip(refs, answers, strict=True)

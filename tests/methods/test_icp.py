@@ -143,8 +143,9 @@ def test_number_of_threads_does_not_matter(mug: Observation, tmp_path: Path) -> 
         "import sys, numpy as np; from method_adapters.icp import Icp;"
         "from pytest_cpas.types import Camera, Observation;"
         "d = np.load(sys.argv[1]); icp = Icp(); icp.load(None, 'cpu');"
-        f"o = Observation('mug', np.zeros((*d['depth'].shape, 3), np.float32), d['depth'],"
-        f" d['mask'], {CAMERA!r});"
+        "rgb = np.zeros((*d['depth'].shape, 3), np.float32);"
+        "o = Observation(category='mug', rgb=rgb, depth=d['depth'], mask=d['mask'],"
+        f" camera={CAMERA!r});"
         "h = icp.predict([o], 0)[0].hypotheses[0];"
         "print(*(a.tobytes().hex() for a in (h.rotation, h.translation, h.extents)))"
     )

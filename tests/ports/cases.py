@@ -111,7 +111,13 @@ def observation(category: str, centre: tuple[float, float], radius: float) -> Ob
     depth = np.where(mask, 0.8 - 0.05 * np.sqrt(np.maximum(1 - (away / radius) ** 2, 0)), 1.3)
     depth[(u * 7 + v * 13) % 29 == 0] = 0
     rgb = np.stack([u / 639, v / 479, (u * v % 97) / 96], axis=-1)
-    return Observation(category, rgb.astype(np.float32), depth.astype(np.float32), mask, camera)
+    return Observation(
+        category=category,
+        rgb=rgb.astype(np.float32),
+        depth=depth.astype(np.float32),
+        mask=mask,
+        camera=camera,
+    )
 
 
 def observations(large: bool = False) -> list[Observation]:

@@ -123,7 +123,7 @@ def render(rotation, translation, unit, category="mug", camera=CAMERA):
     mask = enter < leave
     depth = np.where(mask, enter, 1.5).astype(np.float32)
     rgb = np.zeros((*depth.shape, 3), np.float32)
-    return Observation(category, rgb, depth, mask, camera)
+    return Observation(category=category, rgb=rgb, depth=depth, mask=mask, camera=camera)
 
 
 def shrunk(crops):

@@ -124,7 +124,9 @@ def observation(category: str = "bowl", camera: Pose | None = None) -> Observati
     mask = root > 0
     depth = np.where(mask, (-ab - np.sqrt(np.maximum(root, 0))) / aa, 1.5)
     rgb = np.zeros((*mask.shape, 3), np.float32)
-    return Observation(category, rgb, depth.astype(np.float32), mask, CAMERA)
+    return Observation(
+        category=category, rgb=rgb, depth=depth.astype(np.float32), mask=mask, camera=CAMERA
+    )
 
 
 def write_assets(folder: Path, states: Sequence[dict[str, torch.Tensor]] = ()) -> Path:

@@ -63,7 +63,9 @@ def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
     # in a batch with bad observations, which get their reasons
     few = cases.observation("mug", (300, 200), 3)
     strange = cases.observation("teapot", (300, 200), 45)
-    flat = Observation("can", seen.rgb, 0 * seen.depth, seen.mask, seen.camera)
+    flat = Observation(
+        category="can", rgb=seen.rgb, depth=0 * seen.depth, mask=seen.mask, camera=seen.camera
+    )
     answers = method.predict([few, strange, seen, flat], 3)
     same(answers[2], predictions[0])
     assert "pixels of the mask have a depth, expected at least 32" in answers[0].reason

@@ -114,7 +114,8 @@ def test_depth_from_three_metres_on_does_not_count():
     depth = (seen.depth > 0) * np.float32(2.9)
     depth[:, 295:] *= np.float32(3.0001 / 2.9)
     inputs = AsmNet().prepare(
-        Observation("can", seen.rgb, depth, seen.mask, seen.camera), np.random.default_rng(0)
+        Observation(category="can", rgb=seen.rgb, depth=depth, mask=seen.mask, camera=seen.camera),
+        np.random.default_rng(0),
     )
     assert np.allclose(inputs.cloud[:, 2], 2.9)
     assert len(inputs.cloud) > 300
@@ -133,7 +134,10 @@ def test_depth_is_read_in_whole_millimetres():
     cloud = (
         AsmNet()
         .prepare(
-            Observation("can", seen.rgb, depth, seen.mask, seen.camera), np.random.default_rng(0)
+            Observation(
+                category="can", rgb=seen.rgb, depth=depth, mask=seen.mask, camera=seen.camera
+            ),
+            np.random.default_rng(0),
         )
         .cloud
     )
@@ -292,7 +296,9 @@ def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
     assert prediction.hypotheses
     few = cases.observation("mug", (300, 200), 3)
     strange = cases.observation("teapot", (300, 200), 45)
-    flat = Observation("can", can.rgb, 0 * can.depth, can.mask, can.camera)
+    flat = Observation(
+        category="can", rgb=can.rgb, depth=0 * can.depth, mask=can.mask, camera=can.camera
+    )
     answers = method.predict([few, strange, mug, flat, can], 3)
     same(answers[2], prediction)
     assert "depth that counts, expected at least 32" in answers[0].reason
@@ -307,7 +313,9 @@ def test_answer_keeps_the_contract_and_repeats_with_its_seed(method):
 def test_wall_of_one_depth_is_seen(method):
     seen = cases.observation("mug", (300, 200), 30)
     depth = np.full_like(seen.depth, 0.777)
-    flat = Observation("mug", seen.rgb, depth, seen.mask, seen.camera)
+    flat = Observation(
+        category="mug", rgb=seen.rgb, depth=depth, mask=seen.mask, camera=seen.camera
+    )
     assert len(method.prepare(flat, np.random.default_rng(0)).cloud) > 2000
 
 

@@ -73,7 +73,13 @@ def ramp(depth):
     rgb = np.stack([u / 639, v / 479, 0 * u], axis=-1).astype(np.float32)
     mask = np.zeros((480, 640), bool)
     mask[100:130, 200:270] = True
-    return Observation("can", rgb, np.where(mask, depth, 0).astype(np.float32), mask, camera)
+    return Observation(
+        category="can",
+        rgb=rgb,
+        depth=np.where(mask, depth, 0).astype(np.float32),
+        mask=mask,
+        camera=camera,
+    )
 
 
 def test_what_the_network_sees():

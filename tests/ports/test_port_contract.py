@@ -20,10 +20,15 @@ def loaded(name):
 
 @pytest.fixture(scope="module", params=["cass", "rbppose"])
 def subject(request):
-    truth = GroundTruth(Pose(np.eye(3), np.array([0, 0, 0.8])), np.full(3, 0.1), Symmetry.full())
+    truth = GroundTruth(
+        pose=Pose(np.eye(3), np.array([0, 0, 0.8])),
+        extents=np.full(3, 0.1),
+        symmetry=Symmetry.full(),
+    )
     seen = [cases.observation("mug", (300, 200), 32), cases.observation("bowl", (200, 300), 36)]
     samples = [
-        Sample(SampleRef(str(i), each.category, "0"), each, truth) for i, each in enumerate(seen)
+        Sample(SampleRef(id=str(i), category=each.category, scene="0"), each, truth)
+        for i, each in enumerate(seen)
     ]
     return MethodSubject(
         loaded(request.param), samples, seed=1, fresh=lambda: loaded(request.param)

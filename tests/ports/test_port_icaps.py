@@ -157,7 +157,9 @@ def test_view_of_the_mask_without_its_edge(seen):
     rows, columns = np.nonzero(seen.mask)
     depth[rows[0], columns[0]] = 0.3  # an edge pixel
     depth[rows[len(rows) // 2], columns[len(rows) // 2]] = 2.5  # too far
-    view = View.of(Observation("mug", seen.rgb, depth, seen.mask, seen.camera))
+    view = View.of(
+        Observation(category="mug", rgb=seen.rgb, depth=depth, mask=seen.mask, camera=seen.camera)
+    )
     assert view.cloud[:, 2].min() > 0.6
     assert view.cloud[:, 2].max() < 0.8
     v, u = np.nonzero(view.depth)
@@ -186,7 +188,7 @@ def check_crop():
     mask = inside > 0
     depth = np.where(mask, (b - np.sqrt(np.maximum(inside, 0))) / a, 0).astype(np.float32)
     rgb = np.zeros((*depth.shape, 3), np.float32)
-    view = View.of(Observation("mug", rgb, depth, mask, camera))
+    view = View.of(Observation(category="mug", rgb=rgb, depth=depth, mask=mask, camera=camera))
     region = view.regions(view.particles(middle[None]), np.array([radius]))
     image = torch.from_numpy(np.stack([view.depth, view.depth > 0]))
     crop = icaps_matching.normalised_crops(
@@ -207,7 +209,9 @@ def test_crop_of_a_ball():
 
 def test_too_little_depth_is_said(seen):
     for depth in (0 * seen.depth, seen.depth + np.float32(1.5)):
-        shown = Observation("mug", seen.rgb, depth, seen.mask, seen.camera)
+        shown = Observation(
+            category="mug", rgb=seen.rgb, depth=depth, mask=seen.mask, camera=seen.camera
+        )
         with pytest.raises(NoAnswerError, match=r"0 pixels within the mask have a depth from 0.2"):
             View.of(shown)
 
@@ -540,7 +544,9 @@ def quick(monkeypatch):
 def test_lost_and_found(seen, quick):
     """A frame without an answer says why, and the next one is a first one."""
     method = icaps_cases.method()
-    nothing = Observation("mug", seen.rgb, 0 * seen.depth, seen.mask, seen.camera)
+    nothing = Observation(
+        category="mug", rgb=seen.rgb, depth=0 * seen.depth, mask=seen.mask, camera=seen.camera
+    )
     first, lost, again = method.track([seen, nothing, seen], 0)
     assert lost.reason.startswith("0 pixels within the mask")
     assert first.hypotheses[0].mesh is not again.hypotheses[0].mesh
@@ -549,7 +555,9 @@ def test_lost_and_found(seen, quick):
 
 def test_errors_are_reported_and_seeds_repeat(seen, quick):
     method = icaps_cases.method()
-    teapot = Observation("teapot", seen.rgb, seen.depth, seen.mask, seen.camera)
+    teapot = Observation(
+        category="teapot", rgb=seen.rgb, depth=seen.depth, mask=seen.mask, camera=seen.camera
+    )
     small = cases.observation("mug", (300, 200), 4)
     strange, few, one = method.predict([teapot, small, seen], 0)
     assert strange.reason.startswith("category 'teapot': icaps knows bottle,")

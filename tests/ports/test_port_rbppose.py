@@ -82,7 +82,13 @@ def test_points_and_indices_of_the_original(shared_ports, monkeypatch):
     )
     monkeypatch.setattr(rbppose, "crop_of", lambda mask: Crop(0, 0, 256, 256))
     generator = Recorded(data)
-    seen = Observation("mug", np.zeros((256, 256, 3), np.float32), depth, mask, camera)
+    seen = Observation(
+        category="mug",
+        rgb=np.zeros((256, 256, 3), np.float32),
+        depth=depth,
+        mask=mask,
+        camera=camera,
+    )
     inputs = cases.unloaded("rbppose").prepare(seen, generator)
     assert generator.counts == [(int(mask.sum()), 1028, False), 1028, 257, 1024, 256]
     np.testing.assert_allclose(inputs.points, data["aux__points"][0], atol=1e-6)
@@ -127,7 +133,9 @@ def test_pixels_that_resampling_misses():
     depth = np.where(mask & ~valid, 1, 0).astype(np.float32)
     assert np.count_nonzero(depth) > 100
     rgb, camera = np.zeros((480, 640, 3), np.float32), Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
-    (found,) = cases.unloaded("rbppose").predict([Observation("can", rgb, depth, mask, camera)], 0)
+    (found,) = cases.unloaded("rbppose").predict(
+        [Observation(category="can", rgb=rgb, depth=depth, mask=mask, camera=camera)], 0
+    )
     assert found.reason == "the pixels with a depth are too scattered: resampling meets none"
 
 
@@ -171,7 +179,9 @@ def test_pixels_are_drawn_with_replacement_only_if_they_must():
     camera, mask = Camera(640, 480, 500.0, 500.0, 320.0, 240.0), np.zeros((480, 640), bool)
     mask[10:450, 10] = True  # a line of 440 pixels: with 256 steps, 256 of them
     rgb, depth = np.zeros((480, 640, 3), np.float32), np.ones((480, 640), np.float32)
-    method.prepare(Observation("can", rgb, depth, mask, camera), generator)
+    method.prepare(
+        Observation(category="can", rgb=rgb, depth=depth, mask=mask, camera=camera), generator
+    )
     method.prepare(disc(30), generator)
     assert generator.replaced == [(True, True), (False, False)]
 

@@ -233,9 +233,19 @@ def test_view_without_overlap_pulls_by_its_points():
 def test_answer_keeps_the_contract_and_repeats_with_its_seed():
     method, seen = own.method(), own.observation()
     method.iterations = 2
-    few = Observation("bowl", seen.rgb, seen.depth, seen.mask & (np.arange(160) < 72), seen.camera)
-    far = Observation("bowl", seen.rgb, seen.depth + 2, seen.mask, seen.camera)
-    can = Observation("can", seen.rgb, seen.depth, seen.mask, seen.camera)
+    few = Observation(
+        category="bowl",
+        rgb=seen.rgb,
+        depth=seen.depth,
+        mask=seen.mask & (np.arange(160) < 72),
+        camera=seen.camera,
+    )
+    far = Observation(
+        category="bowl", rgb=seen.rgb, depth=seen.depth + 2, mask=seen.mask, camera=seen.camera
+    )
+    can = Observation(
+        category="can", rgb=seen.rgb, depth=seen.depth, mask=seen.mask, camera=seen.camera
+    )
     answers = method.predict([few, seen, far, can], 3)
     again = method.predict([seen], 3)
     check_answers(again, method.info)
@@ -258,8 +268,12 @@ def check_far_pixels():
     method.iterations = 2
     depth = seen.depth.copy()
     depth[seen.mask & (np.arange(160) < 75)] = 2.01
-    behind = Observation("bowl", seen.rgb, depth, seen.mask, seen.camera)
-    missing = Observation("bowl", seen.rgb, depth * (depth < 2), seen.mask, seen.camera)
+    behind = Observation(
+        category="bowl", rgb=seen.rgb, depth=depth, mask=seen.mask, camera=seen.camera
+    )
+    missing = Observation(
+        category="bowl", rgb=seen.rgb, depth=depth * (depth < 2), mask=seen.mask, camera=seen.camera
+    )
     a, b = (method.predict([x], 0)[0].hypotheses[0].translation for x in (behind, missing))
     np.testing.assert_array_equal(a, b)
 
@@ -368,8 +382,8 @@ def test_real_frame_with_rendered_masks(trained, test_data):
         mask = (rendered > 0) & ~hidden(rendered, depth)
         assert mask.sum() > 1000
         rgb = np.zeros((480, 640, 3), np.float32)
-        seen = Observation(category, rgb, depth, mask, REAL_CAMERA)
-        ref = SampleRef(f"scene_1/0006/{category}", category, "scene_1")
+        seen = Observation(category=category, rgb=rgb, depth=depth, mask=mask, camera=REAL_CAMERA)
+        ref = SampleRef(id=f"scene_1/0006/{category}", category=category, scene="scene_1")
         rows[category] = judged(trained, Sample(ref, seen, truth))
     # the bowl is tilted by 26 degrees, the mug's handle is on the other side: local minima
     assert rows["bowl"].translation_error < 0.02

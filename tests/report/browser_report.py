@@ -115,14 +115,24 @@ class Stored(Run):
         raise NotImplementedError
 
 
+def a_row(sample, category, errors, failure):
+    names = ("translation_error", "rotation_error", "iou", "fscore_1cm")
+    return Row(
+        sample=sample, category=category, failure=failure, **dict(zip(names, errors, strict=True))
+    )
+
+
 def stored_run(name, spoil, method="icp"):
     """The recorded run of icp on a data set, spoiled, against its golden table."""
     golden = find_golden(shipped_golden(), "icp", name)
-    refs = [SampleRef(sample, it.category, "s") for sample, it in golden.samples.items()]
+    refs = [
+        SampleRef(id=sample, category=it.category, scene="s")
+        for sample, it in golden.samples.items()
+    ]
     run = Stored(method, name, refs, identity=golden.identity)
     run.seeds = golden.seeds
     judged = [
-        spoil(index, Row(sample, it.category, *it.errors, failure=it.failure or None))
+        spoil(index, a_row(sample, it.category, it.errors, it.failure or None))
         for index, (sample, it) in enumerate(golden.samples.items())
     ]
     torn = [judged.pop(5).sample] if judged[0].failure else []
@@ -144,10 +154,10 @@ def spoiled(index, row):
     if index % 7 == 0:
         reason = "<img src=x onerror=\"document.title = 'hacked'\">"
         lost = (math.inf, math.inf, -math.inf, -math.inf)
-        return Row(row.sample, row.category, *lost, failure=reason)
+        return a_row(row.sample, row.category, lost, reason)
     worse = row.rotation_error * (2.5 if index % 5 == 0 else 1)
     errors = (row.translation_error, worse, row.iou, row.fscore_1cm)
-    return Row(row.sample, row.category, *errors, failure=row.failure)
+    return a_row(row.sample, row.category, errors, row.failure)
 
 
 def better(index, row):

@@ -226,7 +226,15 @@ def test_golden_table_of_other_conditions_is_not_compared():
 
 def test_no_answer_and_no_row():
     judged = rows()[1:]
-    judged[0] = Row("s/01", "mug", math.inf, math.inf, -math.inf, None, failure="no luck")
+    judged[0] = Row(
+        sample="s/01",
+        category="mug",
+        translation_error=math.inf,
+        rotation_error=math.inf,
+        iou=-math.inf,
+        fscore_1cm=None,
+        failure="no luck",
+    )
     (run,) = a_document(judged, errors={"s/00": "torn"})["runs"]
     assert (run["outcome"], run["judged"], run["listed"], run["unanswered"]) == ("failed", 9, 10, 1)
     assert run["categories"]["can"] == {"judged": 4, "listed": 5}
@@ -263,8 +271,31 @@ HOSTILE = "<script>alert(1)</script>|`*_[x](y)\n```\n# h"
 
 
 def test_markdown_of_hostile_text():
-    judged = [Row(HOSTILE, "can", 0.5, 40.0, 0.9, 0.95), *rows()[1:]]
-    golden = RunTable.of(a_run(), [Row(HOSTILE, "can", 0.001, 4.0, 0.9, 0.95), *rows()[1:]])
+    judged = [
+        Row(
+            sample=HOSTILE,
+            category="can",
+            translation_error=0.5,
+            rotation_error=40.0,
+            iou=0.9,
+            fscore_1cm=0.95,
+        ),
+        *rows()[1:],
+    ]
+    golden = RunTable.of(
+        a_run(),
+        [
+            Row(
+                sample=HOSTILE,
+                category="can",
+                translation_error=0.001,
+                rotation_error=4.0,
+                iou=0.9,
+                fscore_1cm=0.95,
+            ),
+            *rows()[1:],
+        ],
+    )
     verdicts = [Verdict(Word.REGRESSED, "can", HOSTILE)]
     text = markdown(a_document(judged, golden, verdicts=verdicts))
     outside = re.sub(r"(?ms)^(`{3,})text\n.*?^\1$", "", text)
@@ -386,8 +417,31 @@ def test_page_holds_the_numbers_of_the_document():
 def test_page_of_hostile_text():
     """Neither in the page nor in the data of its script does text become markup."""
     hostile = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&amp;"
-    bad = [Row(hostile, "can", 0.5, 40.0, 0.9, 0.95), *rows()[1:]]
-    golden = RunTable.of(a_run(), [Row(hostile, "can", 0.001, 4.0, 0.9, 0.95), *rows()[1:]])
+    bad = [
+        Row(
+            sample=hostile,
+            category="can",
+            translation_error=0.5,
+            rotation_error=40.0,
+            iou=0.9,
+            fscore_1cm=0.95,
+        ),
+        *rows()[1:],
+    ]
+    golden = RunTable.of(
+        a_run(),
+        [
+            Row(
+                sample=hostile,
+                category="can",
+                translation_error=0.001,
+                rotation_error=4.0,
+                iou=0.9,
+                fscore_1cm=0.95,
+            ),
+            *rows()[1:],
+        ],
+    )
     content = a_document(
         bad, golden, verdicts=[Verdict(Word.REGRESSED, "can", hostile)], errors={"s/00": hostile}
     )
@@ -468,9 +522,15 @@ def a_sample(pose: Pose, extents: list[float]) -> Sample:
     mask = np.zeros((160, 200), bool)
     mask[70:90, 90:110] = True
     rgb = np.full((160, 200, 3), 0.5, np.float32)
-    observation = Observation("mug", rgb, np.ones((160, 200), np.float32), mask, camera)
-    ref = SampleRef("s/00", "mug", "s")
-    return Sample(ref, observation, GroundTruth(pose, extents, Symmetry.none(), None))
+    observation = Observation(
+        category="mug", rgb=rgb, depth=np.ones((160, 200), np.float32), mask=mask, camera=camera
+    )
+    ref = SampleRef(id="s/00", category="mug", scene="s")
+    return Sample(
+        ref,
+        observation,
+        GroundTruth(pose=pose, extents=extents, symmetry=Symmetry.none(), surface=None),
+    )
 
 
 def panels(picture: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -495,7 +555,9 @@ def coloured(picture: bytes, colour: tuple[int, int, int]) -> np.ndarray:
 def test_boxes_are_drawn_where_the_corners_project():
     """Facing the camera, the nearer face of a box is its outline: by similar triangles."""
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
-    moved = encode_estimate(Hypothesis(np.eye(3), [0.03, 0.02, 1.0], [0.1, 0.06, 0.1]))
+    moved = encode_estimate(
+        Hypothesis(rotation=np.eye(3), translation=[0.03, 0.02, 1.0], extents=[0.1, 0.06, 0.1])
+    )
     picture = draw(sample, moved, None)
     # 0.9 m in front: half 0.1 m and 0.05 m wide; what is shown is 35 % wider on either side
     across, up = 220 * 0.1 / 0.9, 220 * 0.05 / 0.9
@@ -524,7 +586,9 @@ def test_boxes_are_drawn_where_the_corners_project():
 def test_absurd_estimates_leave_the_truth(translation):
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
     extents = [0.1, 1e300 if translation[0] == 50 else 0.1, 0.1]
-    estimate = encode_estimate(Hypothesis(np.eye(3), translation, extents))
+    estimate = encode_estimate(
+        Hypothesis(rotation=np.eye(3), translation=translation, extents=extents)
+    )
     for shape in (None, encode_shape(np.eye(3)), encode_shape(np.eye(3) * 1e300)):
         assert coloured(draw(sample, estimate, shape), TRUTH_COLOUR) == pytest.approx(
             coloured(draw(sample, None, None), TRUTH_COLOUR), abs=0.01
@@ -547,7 +611,9 @@ def test_axes_tell_a_box_that_is_turned_round():
     """The lines of a box point to its right and its upper side, wherever that has gone."""
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.2, 0.2])
     for turn in (np.diag([-1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, -1.0]), np.eye(3)):
-        estimate = encode_estimate(Hypothesis(turn, [0, 0, 1.0], [0.2, 0.2, 0.2]))
+        estimate = encode_estimate(
+            Hypothesis(rotation=turn, translation=[0, 0, 1.0], extents=[0.2, 0.2, 0.2])
+        )
         image, _ = panels(draw(sample, estimate, None))
         found = abs(image - ESTIMATE_COLOUR).max(axis=2) < 70
         # between the middle and the nearest edge of the further face
@@ -566,7 +632,9 @@ def test_reconstruction_is_seen_from_the_right_and_from_above():
     ball = np.random.default_rng(0).normal(size=(400, 3))
     ball *= 0.01 / np.linalg.norm(ball, axis=1)[:, None]
     sample = replace(sample, truth=replace(sample.truth, surface=ball))
-    moved = encode_estimate(Hypothesis(np.eye(3), [0, 0, 1.06], [0.1, 0.1, 0.1]))
+    moved = encode_estimate(
+        Hypothesis(rotation=np.eye(3), translation=[0, 0, 1.06], extents=[0.1, 0.1, 0.1])
+    )
     _, image = panels(draw(sample, moved, encode_shape(ball)))
 
     def middle(colour):
@@ -596,7 +664,11 @@ def test_nearer_surfaces_hide_further_ones():
     )
 
     def orange(shift):
-        moved = encode_estimate(Hypothesis(np.eye(3), [0, 0, 1.0] + shift * sight, [0.1] * 3))
+        moved = encode_estimate(
+            Hypothesis(
+                rotation=np.eye(3), translation=[0, 0, 1.0] + shift * sight, extents=[0.1] * 3
+            )
+        )
         _, image = panels(draw(sample, moved, encode_shape(plate)))
         return int((image[:, :, 0] > image[:, :, 2] + 60).sum())
 
@@ -623,14 +695,27 @@ def test_page_of_two_hundred_pictures_is_below_ten_megabytes(monkeypatch):
     depth = (0.95 + 0.02 * rng.random((160, 200))).astype(np.float32)
     observation = replace(sample.observation, rgb=rgb, depth=depth)
     sample = replace(sample, observation=observation, truth=replace(sample.truth, surface=points))
-    estimate = encode_estimate(Hypothesis(np.eye(3), [0.01, 0, 1.02], [0.2, 0.15, 0.2]))
+    estimate = encode_estimate(
+        Hypothesis(rotation=np.eye(3), translation=[0.01, 0, 1.02], extents=[0.2, 0.15, 0.2])
+    )
     monkeypatch.setattr(MethodRun, "read", lambda run, ref: sample)
     judged = [
-        Row(f"s/{i:03d}", "mug", 0.5, 40.0, 0.1, 0.2, None, estimate, "", encode_shape(points))
+        Row(
+            sample=f"s/{i:03d}",
+            category="mug",
+            translation_error=0.5,
+            rotation_error=40.0,
+            iou=0.1,
+            fscore_1cm=0.2,
+            failure=None,
+            estimate=estimate,
+            repeats="",
+            shape=encode_shape(points),
+        )
         for i in range(30)
     ]
     data = tiny.Tiny(None)
-    data.samples = [SampleRef(row.sample, "mug", "s") for row in judged]
+    data.samples = [SampleRef(id=row.sample, category="mug", scene="s") for row in judged]
     runs = [MethodRun(tiny.Perfect(), data) for _ in range(12)]
     for index, run in enumerate(runs):
         run.method = f"m{index}"
@@ -672,7 +757,9 @@ def test_pictures_of_real_images_are_small_enough(test_data):
         sample = data.load(ref)
         true = sample.truth
         moved = true.pose.translation + np.array([0.01, 0.02, 0.03])
-        estimate = encode_estimate(Hypothesis(true.pose.rotation, moved, true.extents))
+        estimate = encode_estimate(
+            Hypothesis(rotation=true.pose.rotation, translation=moved, extents=true.extents)
+        )
         shape = None if true.surface is None else encode_shape(true.surface)
         sizes.append(len(draw(sample, estimate, shape)))
     assert len(sizes) == 5

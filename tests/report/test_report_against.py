@@ -89,7 +89,18 @@ def test_flip_has_the_errors_of_both():
     (flip,) = pair["flips"]
     assert (flip["before"], flip["after"]) == ("0.5 cm, 7 deg, F 0.95", "0.5 cm, 30 deg, F 0.95")
     assert flip["lost"] == [TEN, f"{TEN}, F 0.6"]
-    lost = [Row("s/00", "can", math.inf, math.inf, -math.inf, -math.inf, "no luck"), *rows()[1:]]
+    lost = [
+        Row(
+            sample="s/00",
+            category="can",
+            translation_error=math.inf,
+            rotation_error=math.inf,
+            iou=-math.inf,
+            fscore_1cm=-math.inf,
+            failure="no luck",
+        ),
+        *rows()[1:],
+    ]
     (flip,) = compared(told(lost), told())["flips"]
     assert flip["after"] == "failed: no luck"
 
@@ -104,7 +115,15 @@ def test_only_samples_of_both_count():
 
 def test_not_applicable_in_one_is_not_counted():
     bare = [
-        Row(r.sample, r.category, r.translation_error, r.rotation_error, None, None) for r in rows()
+        Row(
+            sample=r.sample,
+            category=r.category,
+            translation_error=r.translation_error,
+            rotation_error=r.rotation_error,
+            iou=None,
+            fscore_1cm=None,
+        )
+        for r in rows()
     ]
     pair = compared(told(bare), told())
     found = cell(pair, "all", f"{TEN}, F 0.6")

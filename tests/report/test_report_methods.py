@@ -26,9 +26,19 @@ SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").r
 
 def told(method: str, dataset: str, correct: int, time: float | None = None) -> dict:
     """A run of 100 samples, half of them bowls, of which the first are right everywhere."""
-    refs = [SampleRef(f"s/{i:03d}", "mug" if i % 2 else "bowl", "s") for i in range(100)]
+    refs = [
+        SampleRef(id=f"s/{i:03d}", category="mug" if i % 2 else "bowl", scene="s")
+        for i in range(100)
+    ]
     judged = [
-        Row(ref.id, ref.category, 0.005, 1.0 if i < correct else 90.0, 0.9, 0.95)
+        Row(
+            sample=ref.id,
+            category=ref.category,
+            translation_error=0.005,
+            rotation_error=1.0 if i < correct else 90.0,
+            iou=0.9,
+            fscore_1cm=0.95,
+        )
         for i, ref in enumerate(refs)
     ]
     run = Fixed(method, dataset, refs, identity={})

@@ -80,7 +80,9 @@ def test_only_some_directions_of_a_large_run_are_kept():
     run, found = judged()
     rotations = Rotation.random(1000, rng=np.random.default_rng(0)).as_matrix()
     many = [
-        replace(found[0], estimate=encode_estimate(Hypothesis(rotation, [0, 0, 1])))
+        replace(
+            found[0], estimate=encode_estimate(Hypothesis(rotation=rotation, translation=[0, 0, 1]))
+        )
         for rotation in rotations
     ]
     told = up_axes(run, many)["estimate"]

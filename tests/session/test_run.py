@@ -345,8 +345,9 @@ def test_missing_weights_are_a_usage_error(pytester):
         needy="""
         from pytest_cpas.types import Asset, MethodInfo
         class Needy:
-            info = MethodInfo("needy", ("mug",), frozenset(), frozenset(), "MIT",
-                              assets=(Asset("needy/w.pt", "https://example.org/w", "CC0"),))
+            weights = Asset(path="needy/w.pt", url="https://example.org/w", licence="CC0")
+            info = MethodInfo(name="needy", categories=("mug",), needs=(), gives=(), licence="MIT",
+                              assets=(weights,))
         """,
     )
     shutil.copy(Path(__file__).parents[1] / "tiny.py", pytester.path)

@@ -191,7 +191,7 @@ class Listed:
 
     def __init__(self, *counts):
         self.samples = [
-            SampleRef(f"{kind:02d}/{i:03d}", f"kind{kind:02d}", "s")
+            SampleRef(id=f"{kind:02d}/{i:03d}", category=f"kind{kind:02d}", scene="s")
             for kind, count in enumerate(counts)
             for i in range(count)
         ]

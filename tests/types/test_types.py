@@ -76,11 +76,26 @@ def test_values_are_copied_and_read_only():
         (lambda: Pose(np.full((3, 3), np.nan), np.zeros(3)), "9 of 9 values are NaN"),
         (lambda: Pose("abc", np.zeros(3)), "not an array of numbers"),
         (lambda: Pose.from_matrix(Pose(ROTATION, [1, 2, 3]).matrix.T), "is it transposed"),
-        (lambda: Hypothesis(ROTATION, np.zeros(3), extents=[1, 0, 1]), "three positive"),
-        (lambda: Hypothesis(ROTATION, np.zeros(3), points=np.zeros((0, 3))), "no points"),
-        (lambda: Hypothesis(ROTATION, np.zeros(3), points=np.zeros((5, 2))), r"expected \(N, 3\)"),
-        (lambda: Hypothesis(ROTATION, np.zeros(3), score=np.nan), "expected a finite number"),
-        (lambda: Hypothesis(ROTATION, np.zeros(3), mesh=np.zeros((3, 3))), "expected pytest_cpas"),
+        (
+            lambda: Hypothesis(rotation=ROTATION, translation=np.zeros(3), extents=[1, 0, 1]),
+            "three positive",
+        ),
+        (
+            lambda: Hypothesis(rotation=ROTATION, translation=np.zeros(3), points=np.zeros((0, 3))),
+            "no points",
+        ),
+        (
+            lambda: Hypothesis(rotation=ROTATION, translation=np.zeros(3), points=np.zeros((5, 2))),
+            r"expected \(N, 3\)",
+        ),
+        (
+            lambda: Hypothesis(rotation=ROTATION, translation=np.zeros(3), score=np.nan),
+            "expected a finite number",
+        ),
+        (
+            lambda: Hypothesis(rotation=ROTATION, translation=np.zeros(3), mesh=np.zeros((3, 3))),
+            "expected pytest_cpas",
+        ),
         (lambda: Prediction(()), "no hypothesis and no reason"),
         (lambda: Prediction((Pose(ROTATION, np.zeros(3)),)), "holds a Pose, expected Hypothesis"),
         (lambda: Camera(0, 3, 1, 1, 0, 0), "0 x 3"),
@@ -91,11 +106,41 @@ def test_values_are_copied_and_read_only():
         (lambda: Symmetry(np.diag([1, 1, -1])[None]), "proper rotation"),
         (lambda: Symmetry(Rotation.from_rotvec([1, 0, 0]).as_matrix()[None], [0, 1, 0]), "full()"),
         (lambda: Symmetry.about([0, 0, 0]), "length 0"),
-        (lambda: MethodInfo("x", ("mug",), frozenset({"lidar"}), frozenset(), "MIT"), "lidar"),
-        (lambda: MethodInfo("x", (), frozenset(), frozenset(), "MIT"), "no categories"),
-        (lambda: MethodInfo("../x", ("mug",), frozenset(), frozenset(), "MIT"), "folder"),
         (
-            lambda: MethodInfo("x", ("mug",), frozenset(), frozenset(), "MIT", object_frame="up"),
+            lambda: MethodInfo(
+                name="x",
+                categories=("mug",),
+                needs=frozenset({"lidar"}),
+                gives=frozenset(),
+                licence="MIT",
+            ),
+            "lidar",
+        ),
+        (
+            lambda: MethodInfo(
+                name="x", categories=(), needs=frozenset(), gives=frozenset(), licence="MIT"
+            ),
+            "no categories",
+        ),
+        (
+            lambda: MethodInfo(
+                name="../x",
+                categories=("mug",),
+                needs=frozenset(),
+                gives=frozenset(),
+                licence="MIT",
+            ),
+            "folder",
+        ),
+        (
+            lambda: MethodInfo(
+                name="x",
+                categories=("mug",),
+                needs=frozenset(),
+                gives=frozenset(),
+                licence="MIT",
+                object_frame="up",
+            ),
             "object_frame is 'up'",
         ),
     ],
@@ -111,7 +156,7 @@ def observation(**changed):
         "depth": np.ones((3, 4), np.float32),
         "mask": np.ones((3, 4), bool),
     }
-    return Observation("mug", **(values | changed), camera=CAMERA)
+    return Observation(category="mug", **(values | changed), camera=CAMERA)
 
 
 def test_good_observation_is_accepted():

@@ -33,7 +33,13 @@ def _subsets(names: tuple[str, ...]) -> list[frozenset[str]]:
 #: Every declaration that a check can look at.
 _INFOS = [
     MethodInfo(
-        "any", ("mug",), needs, gives, "none", deterministic=deterministic, equivariances=claims
+        name="any",
+        categories=("mug",),
+        needs=needs,
+        gives=gives,
+        licence="none",
+        deterministic=deterministic,
+        equivariances=claims,
     )
     for needs in _subsets(("rgb", "depth"))
     for gives in _subsets(("extents", "shape"))

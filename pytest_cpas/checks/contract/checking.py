@@ -131,7 +131,13 @@ class MethodSubject:
         ``random_state`` seeds the global random states, which are put back afterwards.
         """
         given = [
-            Observation(o.category, o.rgb.copy(), o.depth.copy(), o.mask.copy(), o.camera)
+            Observation(
+                category=o.category,
+                rgb=o.rgb.copy(),
+                depth=o.depth.copy(),
+                mask=o.mask.copy(),
+                camera=o.camera,
+            )
             for o in batch
         ]
         with _global_random_state(random_state) as changed:

@@ -131,7 +131,9 @@ def moved_away(observation: Observation) -> Changed:
     mask = np.zeros_like(observation.mask)
     depth[target] = observation.depth[source] + np.float32(step)
     rgb[target], mask[target] = observation.rgb[source], observation.mask[source]
-    moved = Observation(observation.category, rgb, depth, mask, camera)
+    moved = Observation(
+        category=observation.category, rgb=rgb, depth=depth, mask=mask, camera=camera
+    )
     return Changed(moved, np.eye(3), np.array([0, 0, step]))
 
 
@@ -147,11 +149,11 @@ def _changed(
     if not mask.any():
         raise NotCheckedError("the mask is too small for this change")
     return Observation(
-        observation.category,
-        rgb.astype(np.float32),
-        depth.astype(np.float32),
-        mask.astype(bool),
-        camera,
+        category=observation.category,
+        rgb=rgb.astype(np.float32),
+        depth=depth.astype(np.float32),
+        mask=mask.astype(bool),
+        camera=camera,
     )
 
 
