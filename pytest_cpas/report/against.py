@@ -4,79 +4,88 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from pytest_cpas.evaluation import DEFINITIONS, THRESHOLDS
 from pytest_cpas.golden import TableSample, differences
 from pytest_cpas.golden.spread import fewer, more
-from pytest_cpas.report.document import Document, flip_document
+from pytest_cpas.report.document import flip_document
+from pytest_cpas.report.documents import (
+    AgainstDocument,
+    ChangeDocument,
+    PairDocument,
+    RunConditions,
+    RunDocument,
+)
+from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.stored import StoredReportError
-from pytest_cpas.report.words import run_name
 
 #: What two runs must have in common to be compared.
 _SAME = frozenset({"data", *DEFINITIONS})
 
 
-def pairs(
-    new: Sequence[Document], old: Sequence[Document]
-) -> tuple[list[tuple[Document, Document]], list[str]]:
+#: Runs that are given as documents, or by no more than their conditions.
+_New = TypeVar("_New", bound=RunConditions)
+_Old = TypeVar("_Old", bound=RunConditions)
+_Run = TypeVar("_Run", bound=RunConditions)
+
+
+def pairs(new: Sequence[_New], old: Sequence[_Old]) -> tuple[list[tuple[_New, _Old]], list[str]]:
     """Which runs to compare, and in words those that have no counterpart.
 
     A run is compared with that of the same method on the same data set; where a data set has one
-    run left on either side, with that of the other method. Of a run its method, data set and
-    identity are looked at. Raises :class:`StoredReportError` if there is no pair, or if one was
-    made on other data or with other definitions of the metrics.
+    run left on either side, with that of the other method. Raises :class:`StoredReportError` if
+    there is no pair, or if one was made on other data or with other definitions of the metrics.
     """
-    found = [(a, b) for a in new for b in old if run_name(a) == run_name(b)]
-    left, right = _without(new, [a for a, _ in found]), _without(old, [b for _, b in found])
+    matched = [(a, b) for a in new for b in old if run_title(a) == run_title(b)]
+    left, right = _without(new, [a for a, _ in matched]), _without(old, [b for _, b in matched])
     for dataset in dict.fromkeys(run["dataset"] for run in left):
-        ours, theirs = ([r for r in runs if r["dataset"] == dataset] for runs in (left, right))
+        ours = [run for run in left if run["dataset"] == dataset]
+        theirs = [run for run in right if run["dataset"] == dataset]
         if len(ours) == len(theirs) == 1:
-            found.append((ours[0], theirs[0]))
-    if not found:
+            matched.append((ours[0], theirs[0]))
+    if not matched:
         raise StoredReportError(
             f"nothing to compare: the run is of {_names(new)}, the other one of {_names(old)};"
             " expected a data set that both have, with the same method or with one method each"
         )
-    for a, b in found:
-        before, now = (
-            {key: value for key, value in run["identity"].items() if key in _SAME} for run in (b, a)
-        )
-        if other := differences(before, now):
+    for a, b in matched:
+        if other := differences(_same(b), _same(a)):
             raise StoredReportError(
-                f"{run_name(a)} cannot be compared with {run_name(b)}: {'; '.join(other)}. Judge"
+                f"{run_title(a)} cannot be compared with {run_title(b)}: {'; '.join(other)}. Judge"
                 " both on the same data with the same version"
             )
-    alone = [
-        f"{run_name(run)} ({which} only)"
-        for which, runs, taken in (
-            ("this run", new, [a for a, _ in found]),
-            ("the other run", old, [b for _, b in found]),
-        )
-        for run in _without(runs, taken)
-    ]
-    return found, alone
+    here, there = _without(new, [a for a, _ in matched]), _without(old, [b for _, b in matched])
+    unpaired = [f"{run_title(run)} (this run only)" for run in here]
+    unpaired += [f"{run_title(run)} (the other run only)" for run in there]
+    return matched, unpaired
 
 
-def _names(runs: Sequence[Document]) -> str:
-    return ", ".join(map(run_name, runs)) or "no method on no data set"
+def _same(run: RunConditions) -> dict[str, str]:
+    """The part of a run's identity that another one must have as well."""
+    return {key: value for key, value in run["identity"].items() if key in _SAME}
 
 
-def _without(runs: Sequence[Document], taken: Sequence[Document]) -> list[Document]:
+def _names(runs: Sequence[RunConditions]) -> str:
+    return ", ".join(map(run_title, runs)) or "no method on no data set"
+
+
+def _without(runs: Sequence[_Run], taken: Sequence[_Run]) -> list[_Run]:
     return [run for run in runs if not any(run is other for other in taken)]
 
 
-def against(new: Sequence[Document], old: Sequence[Document]) -> Document:
+def against(new: Sequence[RunDocument], old: Sequence[RunDocument]) -> AgainstDocument:
     """The part of a document that compares its runs with those of another one.
 
     Raises :class:`StoredReportError` as :func:`pairs`.
     """
-    found, alone = pairs(new, old)
-    return {"pairs": [_pair(now, before) for now, before in found], "unpaired": alone}
+    matched, unpaired = pairs(new, old)
+    return {"pairs": [_pair(now, before) for now, before in matched], "unpaired": unpaired}
 
 
-def _pair(new: Document, old: Document) -> Document:
+def _pair(new: RunDocument, old: RunDocument) -> PairDocument:
     now, before = _judged(new), _judged(old)
     common = sorted(now.keys() & before.keys())
     conditions = [{**run["identity"], **run["provenance"]} for run in (old, new)]
@@ -95,15 +104,15 @@ def _pair(new: Document, old: Document) -> Document:
     }
 
 
-def _judged(run: Document) -> dict[str, TableSample]:
+def _judged(run: RunDocument) -> dict[str, TableSample]:
     """The samples of a run's document that have a row."""
     judged = {}
     for sample in run["samples"]:
         if sample["outcome"] is not None:
             # what is not finite is not in a document
             position, rotation = (
-                math.inf if sample[key] is None else sample[key]
-                for key in ("position_m", "rotation_deg")
+                math.inf if error is None else error
+                for error in (sample["position_m"], sample["rotation_deg"])
             )
             judged[sample["sample"]] = TableSample(
                 category=sample["category"],
@@ -117,7 +126,7 @@ def _judged(run: Document) -> dict[str, TableSample]:
 
 def _precision(
     now: Mapping[str, TableSample], before: Mapping[str, TableSample], common: Sequence[str]
-) -> Iterator[Document]:
+) -> Iterator[ChangeDocument]:
     """One entry per category (and "all") and joint threshold, of the samples of both runs."""
     categories = sorted({now[name].category for name in common})
     for category in (*categories, *(["all"] if common else [])):
@@ -125,13 +134,21 @@ def _precision(
         for index, threshold in enumerate(THRESHOLDS):
             outcomes = [before[name].outcome[index] + now[name].outcome[index] for name in members]
             known = [pair for pair in outcomes if "-" not in pair]
-            entry: Document = {"category": category, "threshold": threshold.label}
             if not known:
-                yield {**entry, "before": None, "after": None, "lost": 0, "gained": 0, "p": None}
+                yield {
+                    "category": category,
+                    "threshold": threshold.label,
+                    "before": None,
+                    "after": None,
+                    "lost": 0,
+                    "gained": 0,
+                    "p": None,
+                }
                 continue
             old, new = (np.array([pair[side] == "1" for pair in known]) for side in (0, 1))
             yield {
-                **entry,
+                "category": category,
+                "threshold": threshold.label,
                 "before": {"correct": int(old.sum()), "total": len(known)},
                 "after": {"correct": int(new.sum()), "total": len(known)},
                 "lost": int((old & ~new).sum()),

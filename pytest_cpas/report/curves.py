@@ -7,11 +7,17 @@ from dataclasses import dataclass
 
 from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.document import Document
-from pytest_cpas.report.words import method_title
+from pytest_cpas.report.documents import (
+    CurveName,
+    CurvesDocument,
+    PublishedCurvesDocument,
+    RunDocument,
+)
+from pytest_cpas.report.messages import method_title
+from pytest_cpas.report.tables import Paper
 
 #: Per curve of the document: title, factor and unit for people.
-_AXES = {
+_AXES: Mapping[CurveName, tuple[str, float, str]] = {
     "position_m": ("position error at most", 100, "cm"),
     "rotation_deg": ("rotation error at most", 1, "deg"),
     "fscore_1cm": ("F-score (1 cm) at least", 1, ""),
@@ -31,10 +37,10 @@ class Line:
     method: str
     paper: bool
     colour: int
-    curves: Mapping[str, Sequence[Document] | None]
+    curves: CurvesDocument | PublishedCurvesDocument
 
 
-def curve_lines(published: Document, runs: Sequence[Document]) -> list[Line]:
+def curve_lines(published: Paper, runs: Sequence[RunDocument]) -> list[Line]:
     """The curves of runs on one data set: the paper's, then on top of them the measured ones.
 
     A method has one colour, measured and in the paper, and in whatever order runs come.
@@ -78,7 +84,7 @@ def _style(line: Line) -> str:
     return f"curve c{line.colour}{' paper' if line.paper else ''}"
 
 
-def _chart(name: str, factor: float, label: str, lines: Sequence[Line]) -> Element:
+def _chart(name: CurveName, factor: float, label: str, lines: Sequence[Line]) -> Element:
     largest: float = max(
         factor * point["threshold"] for line in lines for point in line.curves.get(name) or ()
     )
@@ -96,8 +102,8 @@ def _chart(name: str, factor: float, label: str, lines: Sequence[Line]) -> Eleme
                 f"{axes.up(point['correct'] / point['total'])}"
                 for point in points
             )
-            told = element("title", method_title(line.method, line.paper))
-            parts.append(element("polyline", told, points=path, class_=_style(line)))
+            title = element("title", method_title(line.method, line.paper))
+            parts.append(element("polyline", title, points=path, class_=_style(line)))
     names = ", ".join(dict.fromkeys(line.method for line in lines))
     return element(
         "svg",

@@ -1,8 +1,8 @@
 """What a session found, as one plain, versioned document: the only source of every renderer.
 
-A document is a dict of JSON values; ``schema.json`` beside this module describes it. It holds no
-path, and a time only below ``speed``, where --cpas-benchmark asked for it: the same rows give the
-same document, wherever and in how many parts they were judged.
+A document is a dict of JSON values, as of :mod:`pytest_cpas.report.documents`. It holds no path,
+and a time only below ``speed``, where --cpas-benchmark asked for it: the same rows give the same
+document, wherever and in how many parts they were judged.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from types import MappingProxyType
-from typing import Any
+from typing import Final
 
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.checks.outcome import Outcome
@@ -24,40 +23,55 @@ from pytest_cpas.golden.published import (
     PublishedCell,
     count_problems,
     published_cells,
-    published_curves,
     published_datasets,
-    published_methods,
     published_name,
-    published_time,
 )
 from pytest_cpas.metrics.precision import Count, curve
+from pytest_cpas.report.documents import (
+    CategoryDocument,
+    ContractDocument,
+    ContractStatus,
+    CountDocument,
+    CurveName,
+    CurvesDocument,
+    Document,
+    FlipDocument,
+    ItemOutcome,
+    PointDocument,
+    PrecisionDocument,
+    RunDocument,
+    SampleDocument,
+    SpeedDocument,
+    VerdictDocument,
+)
+from pytest_cpas.report.published import points, published_count, published_document
 
-FORMAT = 1
-
-Document = dict[str, Any]
+FORMAT: Final = 1
 
 #: The thresholds of the paper's curves: metric, and the limits (metres, degrees, F-score).
-CURVES: Mapping[str, Sequence[float]] = {
+CURVES: Mapping[CurveName, Sequence[float]] = {
     "position_m": [i / 200 for i in range(11)],
     "rotation_deg": list(range(21)),
     "fscore_1cm": [i / 20 for i in range(21)],
 }
 
+#: Outcomes, the worst first. "skipped": a verdict could not be given, and none was required.
+SEVERITY: Sequence[ItemOutcome] = ("failed", "skipped", "passed")
 
-def document(runs: Sequence[Document], failed_items: int) -> Document:
+
+def document(runs: Sequence[RunDocument], failed_items: int) -> Document:
     """The document of a session: its runs, as of :func:`run_document`, failing ones first.
 
     ``failed_items`` counts the test items that failed, whatever they tested. If a run is on a data
     set of the paper, the published tables stand beside.
     """
-    outcome = "failed" if failed_items else worst(run["outcome"] for run in runs)
     return {
         "format": FORMAT,
-        "outcome": outcome,
+        "outcome": "failed" if failed_items else worst(run["outcome"] for run in runs),
         "failed_items": failed_items,
         "thresholds": [threshold.label for threshold in THRESHOLDS],
         "runs": sorted(runs, key=lambda run: SEVERITY.index(run["outcome"])),
-        "published": {name: _published(name) for name in published_datasets()}
+        "published": {name: published_document(name) for name in published_datasets()}
         if any(run["published_as"] for run in runs)
         else {},
     }
@@ -73,9 +87,9 @@ def run_document(
     contract: Iterable[ContractResult] = (),
     findings: Sequence[Finding] = (),
     golden: RunTable | None = None,
-    speed: Document | None = None,
+    speed: SpeedDocument | None = None,
     samples: bool = True,
-) -> Document:
+) -> RunDocument:
     """The document of one run.
 
     ``new``: its table; ``errors``: why samples have no row; ``golden``: the recorded table, shown
@@ -90,7 +104,7 @@ def run_document(
         *run.damaged,
         *count_problems(run.dataset, run.listed, partial=bool(run.missing)).values(),
     ]
-    told_verdicts = [
+    verdict_documents: list[VerdictDocument] = [
         {
             "word": verdict.word.value,
             "category": verdict.category,
@@ -100,14 +114,14 @@ def run_document(
         for verdict in verdicts
     ]
     # workers send them in any order
-    told_contract = [_contract(r) for r in sorted(contract, key=lambda r: r.check)]
-    broken = problems or errors or any(r["status"] in ("violated", "gone") for r in told_contract)
+    checks = [_contract(result) for result in sorted(contract, key=lambda result: result.check)]
+    broken = problems or errors or any(c["status"] in ("violated", "gone") for c in checks)
     slower = speed is not None and speed["verdict"]["outcome"] == "failed"
     return {
         "method": run.method,
         "dataset": run.dataset,
         "published_as": published,
-        "outcome": "failed" if broken or slower else worst(v["outcome"] for v in told_verdicts),
+        "outcome": "failed" if broken or slower else worst(v["outcome"] for v in verdict_documents),
         "judged": len(new.samples),
         "listed": sum(run.listed.values()),
         "unanswered": sum(bool(sample.failure) for sample in new.samples.values()),
@@ -115,12 +129,12 @@ def run_document(
         "seeds": run.seeds,
         "missing": list(run.missing),
         "problems": problems,
-        "verdicts": told_verdicts,
+        "verdicts": verdict_documents,
         "findings": [
             {"category": finding.category, "name": finding.name, "lines": finding.lines()}
             for finding in findings
         ],
-        "contract": told_contract,
+        "contract": checks,
         "precision": _precision(
             new.table,
             golden.table if golden else {},
@@ -140,16 +154,13 @@ def run_document(
     }
 
 
-#: Outcomes, the worst first. "skipped": a verdict could not be given, and none was required.
-SEVERITY = ("failed", "skipped", "passed")
-
-
-def worst(outcomes: Iterable[str]) -> str:
+def worst(outcomes: Iterable[ItemOutcome]) -> ItemOutcome:
     """The worst of some outcomes; of none, "skipped"."""
     return min(outcomes, key=SEVERITY.index, default="skipped")
 
 
-def _contract(result: ContractResult) -> Document:
+def _contract(result: ContractResult) -> ContractDocument:
+    status: ContractStatus
     if result.outcome is Outcome.NOT_OFFERED:
         status = "n/a"
     elif result.known:
@@ -161,7 +172,7 @@ def _contract(result: ContractResult) -> Document:
     return {"check": result.check, "status": status, "message": result.message}
 
 
-def _categories(run: Run, new: RunTable) -> Document:
+def _categories(run: Run, new: RunTable) -> dict[str, CategoryDocument]:
     judged = Counter(sample.category for sample in new.samples.values())
     return {
         name: {"judged": judged[name], "listed": count}
@@ -169,7 +180,9 @@ def _categories(run: Run, new: RunTable) -> Document:
     }
 
 
-def _precision(table: Table, golden: Table, published: Sequence[PublishedCell]) -> list[Document]:
+def _precision(
+    table: Table, golden: Table, published: Sequence[PublishedCell]
+) -> list[PrecisionDocument]:
     """One entry per category (and "all") and joint threshold; what is n/a is None."""
     paper = {(cell.category, cell.label): cell for cell in published}
     return [
@@ -178,80 +191,64 @@ def _precision(table: Table, golden: Table, published: Sequence[PublishedCell]) 
             "threshold": threshold.label,
             "measured": _count(table.get(category, {}).get(threshold.label)),
             "golden": _count(golden.get(category, {}).get(threshold.label)),
-            "published": _published_count(paper.get((category, threshold.label))),
+            "published": published_count(cell)
+            if (cell := paper.get((category, threshold.label)))
+            else None,
         }
         for category in (*sorted({*table, *golden} - {"all"}), *(["all"] if table else []))
         for threshold in THRESHOLDS
     ]
 
 
-def _count(count: Count | None) -> Document | None:
+def _count(count: Count | None) -> CountDocument | None:
     return None if count is None else {"correct": count.correct, "total": count.total}
 
 
-def _published_count(cell: PublishedCell | None) -> Document | None:
-    if cell is None:
-        return None
-    return {"lowest": cell.low, "highest": cell.high, "total": cell.total}
-
-
-def _curves(table: RunTable) -> Document:
+def _curves(table: RunTable) -> CurvesDocument:
     """Per metric the counts at :data:`CURVES`; None where the metric is n/a."""
     errors = table.errors
-    told: Document = {}
-    for name, limits in CURVES.items():
-        counts = curve(errors, name.removesuffix("_1cm"), limits) if table.samples else None
-        told[name] = counts and _points(limits, counts)
-    return told
 
+    def counts(name: CurveName) -> list[PointDocument] | None:
+        limits = CURVES[name]
+        found = curve(errors, name.removesuffix("_1cm"), limits) if table.samples else None
+        return None if found is None else points(zip(limits, found, strict=True))
 
-def _points(limits: Sequence[float], counts: Sequence[Count]) -> list[Document]:
-    return [
-        {"threshold": limit, "correct": count.correct, "total": count.total}
-        for limit, count in zip(limits, counts, strict=True)
-    ]
-
-
-def _published(dataset: str) -> Document:
     return {
-        method: {
-            "precision": [
-                {
-                    "category": cell.category,
-                    "threshold": cell.label,
-                    "published": _published_count(cell),
-                }
-                for cell in published_cells(dataset, method)
-            ],
-            "curves": {
-                name: _points([limit for limit, _ in points], [count for _, count in points])
-                for name, points in published_curves(dataset, method).items()
-            },
-            "run_time": (time := published_time(method)) and asdict(time),
-        }
-        for method in published_methods(dataset)
+        "position_m": counts("position_m"),
+        "rotation_deg": counts("rotation_deg"),
+        "fscore_1cm": counts("fscore_1cm"),
     }
 
 
-def flip_document(name: str, old: TableSample, new: TableSample) -> Document | None:
+def flip_document(name: str, old: TableSample, new: TableSample) -> FlipDocument | None:
     """At which thresholds a sample is judged otherwise than before; None if at none."""
-    told: dict[str, list[str]] = {"lost": [], "gained": [], "changed": []}
-    for threshold, before, after in zip(THRESHOLDS, old.outcome, new.outcome, strict=True):
-        if before != after:
-            kind = {"10": "lost", "01": "gained"}.get(before + after, "changed")
-            told[kind].append(threshold.label)
     if old.outcome == new.outcome:
         return None
-    errors = {"before": old.describe(), "after": new.describe()}
-    return {"sample": name, "category": new.category, **told, **errors}
+    flip: FlipDocument = {
+        "sample": name,
+        "category": new.category,
+        "lost": [],
+        "gained": [],
+        "changed": [],
+        "before": old.describe(),
+        "after": new.describe(),
+    }
+    for threshold, before, after in zip(THRESHOLDS, old.outcome, new.outcome, strict=True):
+        if (before, after) == ("1", "0"):
+            flip["lost"].append(threshold.label)
+        elif (before, after) == ("0", "1"):
+            flip["gained"].append(threshold.label)
+        elif before != after:
+            flip["changed"].append(threshold.label)
+    return flip
 
 
 def _samples(
     run: Run, new: RunTable, old: Mapping[str, TableSample], errors: Mapping[str, str]
-) -> list[Document]:
+) -> list[SampleDocument]:
     """The samples that have a row or an error, by name."""
     category = {ref.id: ref.category for ref in run.samples}
-    told = []
+    samples: list[SampleDocument] = []
     for name in sorted({*new.samples, *errors}):
         judged = new.samples.get(name)
         values = judged.errors if judged else (None,) * 4
@@ -260,7 +257,7 @@ def _samples(
             None if value is None or not math.isfinite(value) else float(f"{value:.6g}")
             for value in values
         )
-        told.append(
+        samples.append(
             {
                 "sample": name,
                 "category": judged.category if judged else category[name],
@@ -274,4 +271,4 @@ def _samples(
                 "error": None if judged else errors[name],
             }
         )
-    return told
+    return samples

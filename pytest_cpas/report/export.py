@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 
 from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.document import Document
-from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
-from pytest_cpas.report.words import method_title
+from pytest_cpas.report.documents import Document, RunDocument
+from pytest_cpas.report.messages import method_title
+from pytest_cpas.report.tables import Cell, Line, Paper, category_tables, groups, precision_table
 
 #: Data sets beside each other in a table.
 _BESIDE = 2
@@ -69,25 +69,29 @@ def precision_csv(document: Document) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    for dataset, method, source, entry, low, high, total in _counts(document):
-        precision = f"{low / total:.4f}"
-        where = (dataset, method, source, entry["category"], *limits[entry["threshold"]])
-        writer.writerow((*where, low, high, total, precision))
+    for where, threshold, low, high, total in _counts(document):
+        writer.writerow((*where, *limits[threshold], low, high, total, f"{low / total:.4f}"))
     return text.getvalue()
 
 
-def _counts(document: Document) -> Iterator[tuple[str, str, str, Document, int, int, int]]:
+def _counts(document: Document) -> Iterator[tuple[tuple[str, str, str, str], str, int, int, int]]:
+    """(data set, method, source, category), threshold, lowest and highest count, and total."""
     for run in document["runs"]:
         for entry in run["precision"]:
             if count := entry["measured"]:
-                correct, total = count["correct"], count["total"]
-                yield run["dataset"], run["method"], "measured", entry, correct, correct, total
-    for dataset, entries in document["published"].items():
-        for method, told in entries.items():
-            for entry in told["precision"]:
-                count = entry["published"]
-                low, high = count["lowest"], count["highest"]
-                yield dataset, method, "paper", entry, low, high, count["total"]
+                where = (run["dataset"], run["method"], "measured", entry["category"])
+                yield where, entry["threshold"], count["correct"], count["correct"], count["total"]
+    for dataset, methods in document["published"].items():
+        for name, method in methods.items():
+            for cell in method["precision"]:
+                printed = cell["published"]
+                yield (
+                    (dataset, name, "paper", cell["category"]),
+                    cell["threshold"],
+                    printed["lowest"],
+                    printed["highest"],
+                    printed["total"],
+                )
 
 
 def precision_tex(document: Document) -> str:
@@ -111,7 +115,7 @@ def precision_tex(document: Document) -> str:
 
 
 def _overall(
-    shown: Sequence[tuple[str, list[Document], Document]], thresholds: Sequence[str]
+    shown: Sequence[tuple[str, list[RunDocument], Paper]], thresholds: Sequence[str]
 ) -> Iterator[str]:
     """The table of some data sets beside each other; a method has one line."""
     tables = [precision_table(thresholds, runs, published) for _, runs, published in shown]
@@ -120,9 +124,9 @@ def _overall(
     nothing: list[Cell | None] = [None] * len(thresholds)
     lines = []
     for name in sorted(names, key=lambda name: name[1]):  # what was measured first
-        found = [lines.get(name) for lines in known]
-        cells = itertools.chain.from_iterable(line.cells if line else nothing for line in found)
-        lines.append((next(_method(line) for line in found if line), list(cells)))
+        beside = [lines.get(name) for lines in known]
+        cells = itertools.chain.from_iterable(line.cells if line else nothing for line in beside)
+        lines.append((next(_method(line) for line in beside if line), list(cells)))
     yield from _table(
         f"Precision on {' and '.join(_escape(title) for title, *_ in shown)}.",
         [[_threshold(label) for label in thresholds] for _ in shown],

@@ -5,29 +5,29 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import AgainstDocument, Document, FlipDocument, RunDocument
+from pytest_cpas.report.messages import (
+    change_messages,
+    contract_message,
+    flip_message,
+    judged_message,
+    method_title,
+    outcome_message,
+    pair_lines,
+    pair_title,
+    speed_lines,
+    troubles,
+    verdicts_message,
+    worst_flips_first,
+)
 from pytest_cpas.report.tables import (
     Cell,
     Line,
     category_lines,
     category_tables,
     groups,
-    percent,
+    other_cells,
     precision_table,
-)
-from pytest_cpas.report.words import (
-    change_words,
-    contract_words,
-    flip_words,
-    golden_words,
-    judged_words,
-    method_title,
-    outcome_words,
-    pair_title,
-    pair_words,
-    speed_lines,
-    troubles,
-    worst_flips_first,
 )
 
 #: Lines of one kind before the rest is only counted: a job page takes 1 MiB.
@@ -42,23 +42,23 @@ def markdown(document: Document) -> str:
 
 
 def _lines(document: Document) -> Iterator[str]:
-    yield f"# pytest-cpas: {outcome_words(document['outcome'])}"
+    yield f"# pytest-cpas: {outcome_message(document['outcome'])}"
     yield ""
     yield from _table(
         ["run", "verdict", "samples", "golden"],
         [
             [
                 _escape(f"{run['method']} on {run['dataset']}"),
-                f"**{outcome_words(run['outcome'])}**",
-                judged_words(run),
-                _escape(golden_words(run)),
+                f"**{outcome_message(run['outcome'])}**",
+                judged_message(run),
+                _escape(verdicts_message(run)),
             ]
             for run in document["runs"]
         ],
         "---",
     )
     for run in document["runs"]:
-        yield from _told(run)
+        yield from _troubles(run)
     if "against" in document:
         yield from _against(document["against"], document["thresholds"])
     thresholds = document["thresholds"]
@@ -88,14 +88,14 @@ def _methods(head: Sequence[str], lines: Sequence[Line]) -> Iterator[str]:
     )
 
 
-def _told(run: Document) -> Iterator[str]:
+def _troubles(run: RunDocument) -> Iterator[str]:
     """What is wrong with a run, and what was missing; nothing for a run without either."""
-    told = troubles(run)
-    if not told and not run["flips"]:
+    sections = troubles(run)
+    if not sections and not run["flips"]:
         return
     yield f"## {_escape(run['method'])} on {_escape(run['dataset'])}"
     yield ""
-    for title, lines in told:
+    for title, lines in sections:
         yield f"**{title}**"
         yield ""
         yield from _fenced(lines)
@@ -105,7 +105,7 @@ def _told(run: Document) -> Iterator[str]:
         yield from _flips(run["flips"])
 
 
-def _speed(run: Document) -> Iterator[str]:
+def _speed(run: RunDocument) -> Iterator[str]:
     if run["speed"]:
         yield f"**Speed of {_escape(run['method'])} on {_escape(run['dataset'])}**"
         yield ""
@@ -114,7 +114,7 @@ def _speed(run: Document) -> Iterator[str]:
         yield ""
 
 
-def _flips(flips: Sequence[Document]) -> Iterator[str]:
+def _flips(flips: Sequence[FlipDocument]) -> Iterator[str]:
     yield from _table(
         ["sample", "before", "now", "what changed"],
         [
@@ -122,7 +122,7 @@ def _flips(flips: Sequence[Document]) -> Iterator[str]:
                 _escape(flip["sample"]),
                 _escape(flip["before"]),
                 _escape(flip["after"]),
-                flip_words(flip),
+                flip_message(flip),
             ]
             for flip in flips[:_SHOWN]
         ],
@@ -131,20 +131,20 @@ def _flips(flips: Sequence[Document]) -> Iterator[str]:
     yield from _rest(len(flips))
 
 
-def _against(against: Document, thresholds: Sequence[str]) -> Iterator[str]:
+def _against(against: AgainstDocument, thresholds: Sequence[str]) -> Iterator[str]:
     """The runs beside those of another one."""
     for pair in against["pairs"]:
         yield f"## {_escape(pair_title(pair))}"
         yield ""
-        yield from _fenced(pair_words(pair))
+        yield from _fenced(pair_lines(pair))
         yield from _table(
             ["before → now", *thresholds],
             [
                 [
                     _escape(category),
-                    *("<br>".join(filter(None, change_words(entry))) for entry in entries),
+                    *("<br>".join(filter(None, change_messages(entry))) for entry in entries),
                 ]
-                for category, entries in category_lines(pair)
+                for category, entries in category_lines(pair["precision"])
             ],
         )
         if pair["flips"]:
@@ -155,24 +155,21 @@ def _against(against: Document, thresholds: Sequence[str]) -> Iterator[str]:
         yield from _fenced(against["unpaired"])
 
 
-def _categories(run: Document, thresholds: Sequence[str]) -> Iterator[str]:
+def _categories(run: RunDocument, thresholds: Sequence[str]) -> Iterator[str]:
     yield f"<details><summary>{_escape(run['method'])} on {_escape(run['dataset'])}"
     yield "per category, with golden and published precision</summary>"
     yield ""
     lines = []
-    for category, entries in category_lines(run):
+    for category, entries in category_lines(run["precision"]):
         cells = []
         for entry in entries:
-            count = entry["measured"]
-            told = f"{count['correct']}/{count['total']} {percent(count)}" if count else "n/a"
-            for kind in ("golden", "published"):
-                if entry[kind]:
-                    told += f"<br>{kind} {percent(entry[kind])}"
-            cells.append(told)
+            parts = [_count(Cell.measured(entry["measured"])) if entry["measured"] else "n/a"]
+            parts += [f"{source} {cell.percent}" for source, cell in other_cells(entry)]
+            cells.append("<br>".join(parts))
         lines.append([_escape(category), *cells])
     yield from _table(["correct", *thresholds], lines)
-    if words := contract_words(run["contract"]):
-        yield _escape(words)
+    if message := contract_message(run["contract"]):
+        yield _escape(message)
         yield ""
     yield "</details>"
     yield ""
@@ -181,8 +178,12 @@ def _categories(run: Document, thresholds: Sequence[str]) -> Iterator[str]:
 def _cell(cell: Cell | None) -> str:
     if cell is None:
         return "n/a"
-    text = f"{cell.correct}/{cell.total} {cell.percent}{_MARKS[cell.rank]}"
+    text = _count(cell) + _MARKS[cell.rank]
     return f"**{text}**" if cell.rank == 1 else text
+
+
+def _count(cell: Cell) -> str:
+    return f"{cell.correct}/{cell.total} {cell.percent}"
 
 
 def _table(

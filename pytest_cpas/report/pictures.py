@@ -15,7 +15,7 @@ from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.evaluation import MethodRun, Row, Run
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.evaluation.results import MergedRun
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import AgainstDocument, FlipDocument, RunDocument, SampleDocument
 from pytest_cpas.report.reconstruction import (
     ESTIMATE_COLOUR,
     GROUND,
@@ -56,30 +56,30 @@ _LINES = [
 def pictures(
     runs: Sequence[Run],
     rows: Mapping[Run, Mapping[str, Row]],
-    told: Sequence[Document],
-    against: Document | None = None,
+    documents: Sequence[RunDocument],
+    against: AgainstDocument | None = None,
 ) -> dict[tuple[str, str], dict[str, bytes]]:
     """WebP pictures by method and data set: of lost and gained samples, then of the worst.
 
-    ``told``: the documents of the runs; ``against``: their comparison with others. Runs without
+    ``documents``: those of the runs; ``against``: their comparison with others. Runs without
     images have none, and neither have perturbed data sets nor samples that cannot be read again.
     """
     shown = [
-        (run, content, read)
-        for run, content in zip(runs, told, strict=True)
+        (run, document, read)
+        for run, document in zip(runs, documents, strict=True)
         if (read := _reader(run)) and not perturbation_of(run.dataset)
     ]
     count = min(COUNT, TOTAL // max(1, len(shown)))
     since = {
         (pair["method"], pair["dataset"]): pair["flips"]
-        for pair in (against or {"pairs": []})["pairs"]
+        for pair in (against["pairs"] if against else ())
     }
     drawn: dict[tuple[str, str], dict[str, bytes]] = {}
-    for run, content, read in shown:
+    for run, document, read in shown:
         key = run.method, run.dataset
         refs = {ref.id: ref for ref in run.samples}
         drawn[key] = {}
-        for name in _chosen(content, since.get(key, []))[:count]:
+        for name in _chosen(document, since.get(key, []))[:count]:
             row = rows[run][name]
             try:
                 drawn[key][name] = draw(read(refs[name]), row.estimate, row.shape)
@@ -95,20 +95,25 @@ def _reader(run: Run) -> Callable[[SampleRef], Sample] | None:
     return run.images.load if isinstance(run, MergedRun) and run.images else None
 
 
-def _chosen(told: Document, since: Sequence[Document]) -> list[str]:
+def _chosen(document: RunDocument, since: Sequence[FlipDocument]) -> list[str]:
     """What was lost, also since another run, then what was gained, then what is worst."""
-    flips = sorted([*told["flips"], *since], key=lambda flip: not flip["lost"])
-    wrong = [sample for sample in told["samples"] if "0" in (sample["outcome"] or "")]
-    wrong.sort(key=lambda sample: (sample["outcome"].count("1"), -_size(sample)))
-    return list(dict.fromkeys(sample["sample"] for sample in (*flips, *wrong)))
+    flips = sorted([*document["flips"], *since], key=lambda flip: not flip["lost"])
+    wrong = [
+        (outcome.count("1"), sample)
+        for sample in document["samples"]
+        if (outcome := sample["outcome"]) and "0" in outcome
+    ]
+    wrong.sort(key=lambda entry: (entry[0], -_size(entry[1])))
+    names = [*(flip["sample"] for flip in flips), *(sample["sample"] for _, sample in wrong)]
+    return list(dict.fromkeys(names))
 
 
-def _size(sample: Document) -> float:
+def _size(sample: SampleDocument) -> float:
     """How wrong a pose is, with 2 cm as bad as 10 degrees."""
-    errors = sample["position_m"], sample["rotation_deg"]
-    if None in errors:
+    position, rotation = sample["position_m"], sample["rotation_deg"]
+    if position is None or rotation is None:
         return math.inf
-    return float(max(errors[0] / 0.02, errors[1] / 10))
+    return max(position / 0.02, rotation / 10)
 
 
 def draw(sample: Sample, estimate: str | None, shape: str | None) -> bytes:

@@ -9,13 +9,13 @@ import pytest
 
 from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, UNPERTURBED, perturbation_of
 from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import RunDocument
 from pytest_cpas.report.terminal import print_table
 
 
-def print_curves(terminal: pytest.TerminalReporter, runs: Sequence[Document]) -> None:
+def print_curves(terminal: pytest.TerminalReporter, runs: Sequence[RunDocument]) -> None:
     """One table per method and data set whose perturbations are among the runs."""
-    curves: dict[tuple[str, str], dict[tuple[str, int], Document]] = {}
+    curves: dict[tuple[str, str], dict[tuple[str, int], RunDocument]] = {}
     for run in runs:
         parts = perturbation_of(run["dataset"])
         if parts is not None:
@@ -34,11 +34,11 @@ def print_curves(terminal: pytest.TerminalReporter, runs: Sequence[Document]) ->
                 lines.append([name, *at, f"{levels}: {perturbation.words}"])
         print_table(terminal, lines)
         words = Counter(verdict["word"] for run in points.values() for verdict in run["verdicts"])
-        told = ", ".join(f"{word} {count}" for word, count in words.items())
-        terminal.write_line(f"golden, categories of all {len(points)} curve points: {told}")
+        counts = ", ".join(f"{word} {count}" for word, count in words.items())
+        terminal.write_line(f"golden, categories of all {len(points)} curve points: {counts}")
 
 
-def _cell(run: Document) -> str:
+def _cell(run: RunDocument) -> str:
     for cell in run["precision"]:
         if (cell["category"], cell["threshold"]) == ("all", THRESHOLDS[0].label):
             count = cell["measured"]

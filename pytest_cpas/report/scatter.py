@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.document import Document
-from pytest_cpas.report.tables import as_cell
-from pytest_cpas.report.words import method_title, seconds_words
+from pytest_cpas.report.documents import Document, RunDocument
+from pytest_cpas.report.messages import duration_message, method_title
+from pytest_cpas.report.tables import Cell, measured_cells, published_cells
 
 #: Pairs of data sets that a page shows.
 PAIRS = 6
@@ -53,25 +53,23 @@ class Method:
 
 def methods(document: Document) -> list[Method]:
     """The paper's methods, and then those of the runs; a data set has the paper's name for it."""
-    names = dict.fromkeys(name for told in document["published"].values() for name in told)
-    found = []
+    names = dict.fromkeys(name for printed in document["published"].values() for name in printed)
+    known = []
     for name in names:
-        told = {
-            dataset: entries[name]
-            for dataset, entries in document["published"].items()
-            if name in entries
+        tables = {
+            dataset: printed[name]
+            for dataset, printed in document["published"].items()
+            if name in printed
         }
-        time = next((entry["run_time"] for entry in told.values() if entry["run_time"]), None)
-        precision = {
-            dataset: _overall(entry["precision"], "published") for dataset, entry in told.items()
-        }
-        found.append(Method(name, True, precision, time and time["mean_seconds"]))
+        time = next((table["run_time"] for table in tables.values() if table["run_time"]), None)
+        precision = {dataset: _overall(published_cells(table)) for dataset, table in tables.items()}
+        known.append(Method(name, True, precision, time and time["mean_seconds"]))
     for name in dict.fromkeys(run["method"] for run in document["runs"]):
         runs = [run for run in document["runs"] if run["method"] == name]
         times = [run["speed"]["mean_seconds"] for run in runs if run["speed"]]
-        precision = {_dataset(run): _overall(run["precision"], "measured") for run in runs}
-        found.append(Method(name, False, precision, times[0] if times else None))
-    return found
+        precision = {_dataset(run): _overall(measured_cells(run)) for run in runs}
+        known.append(Method(name, False, precision, times[0] if times else None))
+    return known
 
 
 def dataset_pairs(document: Document) -> list[tuple[str, str]]:
@@ -85,15 +83,14 @@ def dataset_pairs(document: Document) -> list[tuple[str, str]]:
     ]
 
 
-def _dataset(run: Document) -> str:
-    return str(run["published_as"] or run["dataset"])
+def _dataset(run: RunDocument) -> str:
+    return run["published_as"] or run["dataset"]
 
 
-def _overall(entries: Sequence[Document], kind: str) -> dict[str, float]:
+def _overall(cells: Mapping[tuple[str, str], Cell]) -> dict[str, float]:
+    """By threshold the precision over all categories."""
     return {
-        entry["threshold"]: as_cell(count).share
-        for entry in entries
-        if entry["category"] == "all" and (count := entry[kind])
+        threshold: cell.share for (category, threshold), cell in cells.items() if category == "all"
     }
 
 
@@ -127,7 +124,7 @@ def _chart(places: Sequence[_Place], pair: tuple[str, str], threshold: str) -> E
     return element(
         "svg",
         element("title", about),
-        element("desc", "; ".join(_told(*place, pair) for place in places)),
+        element("desc", "; ".join(_place_text(*place, pair) for place in places)),
         axes.grid(
             lambda share: f"{100 * share:.3g}",
             lambda share: f"{100 * share:.3g} %",
@@ -135,7 +132,7 @@ def _chart(places: Sequence[_Place], pair: tuple[str, str], threshold: str) -> E
         ),
         element("text", f"on {pair[1]}", x=axes.left + 5, y=axes.margin + 11),
         element("text", f"at {threshold}", x=axes.right, y=axes.margin - 3, text_anchor="end"),
-        [_mark(*place, axes, _told(*place, pair)) for place in places],
+        [_mark(*place, axes, _place_text(*place, pair)) for place in places],
         _labels(places, axes),
         viewBox=f"0 0 {_WIDTH} {_HEIGHT}",
         role="img",
@@ -148,9 +145,9 @@ def _end(shares: Sequence[float]) -> float:
     return next((end for end in (0.1, 0.25, 0.5, 0.75) if max(shares) <= end), 1.0)
 
 
-def _mark(method: Method, x: float | None, y: float | None, axes: Axes, told: str) -> Element:
+def _mark(method: Method, x: float | None, y: float | None, axes: Axes, text: str) -> Element:
     """A dot, or a tick at the axis of the only data set on which a method is known."""
-    title = element("title", told)
+    title = element("title", text)
     at_x, at_y = axes.across(x or 0), axes.up(y or 0)
     if x is None:
         ends = {"x1": axes.left - 4, "x2": axes.left + 8, "y1": at_y, "y2": at_y}
@@ -165,13 +162,13 @@ def _mark(method: Method, x: float | None, y: float | None, axes: Axes, told: st
     return element("polygon", title, points=diamond, class_="dot measured", fill=fill)
 
 
-def _told(method: Method, x: float | None, y: float | None, pair: tuple[str, str]) -> str:
+def _place_text(method: Method, x: float | None, y: float | None, pair: tuple[str, str]) -> str:
     known = [
         f"{100 * share:.1f} % on {name}"
         for name, share in zip(pair, (x, y), strict=True)
         if share is not None
     ]
-    time = "not timed" if method.seconds is None else f"{seconds_words(method.seconds)} each"
+    time = "not timed" if method.seconds is None else f"{duration_message(method.seconds)} each"
     return f"{method.title}: {', '.join(known)}, {time}"
 
 
@@ -233,8 +230,8 @@ def _legend() -> Element:
         for step in range(steps)
     ]
     ticks = [
-        element("text", words, x=width * index / 3, y=22, text_anchor=anchor)
-        for index, (words, anchor) in enumerate(
+        element("text", label, x=width * index / 3, y=22, text_anchor=anchor)
+        for index, (label, anchor) in enumerate(
             (("10 ms", "start"), ("100 ms", "middle"), ("1 s", "middle"), ("10 s", "end"))
         )
     ]

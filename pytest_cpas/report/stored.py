@@ -10,7 +10,8 @@ from typing import cast
 from pytest_cpas.evaluation import THRESHOLDS, Row, SampleError
 from pytest_cpas.evaluation.results import MergedRun, merge
 from pytest_cpas.golden import RunTable
-from pytest_cpas.report.document import FORMAT, Document, run_document
+from pytest_cpas.report.document import FORMAT, run_document
+from pytest_cpas.report.documents import Document, RunDocument
 
 
 class StoredReportError(Exception):
@@ -40,24 +41,27 @@ def read_report(path: Path) -> Document:
             f"{path}: --cpas-report of this version did not write it ({wrong.json_path}:"
             f" {wrong.message[:200]})"
         )
+    document = cast(Document, content)  # as the schema says
     labels = [threshold.label for threshold in THRESHOLDS]
-    told = [run["precision"] for run in content["runs"]]
-    told += [
-        entry["precision"] for part in content["published"].values() for entry in part.values()
-    ]
-    found = {entry["threshold"] for entries in told for entry in entries}
-    if content["thresholds"] != labels or not found <= {*labels}:
+    measured = {entry["threshold"] for run in document["runs"] for entry in run["precision"]}
+    printed = {
+        entry["threshold"]
+        for methods in document["published"].values()
+        for method in methods.values()
+        for entry in method["precision"]
+    }
+    if document["thresholds"] != labels or not measured | printed <= {*labels}:
         raise StoredReportError(
             f"{path}: has other thresholds than this version, which judges at {'; '.join(labels)}"
         )
-    return cast(Document, content)
+    return document
 
 
 def _no_constant(name: str) -> None:
     raise ValueError(f"{name} is not JSON")
 
 
-def read_runs(paths: Sequence[Path]) -> list[Document]:
+def read_runs(paths: Sequence[Path]) -> list[RunDocument]:
     """The documents of the runs in reports (``.json``) and results files.
 
     The results files of the shards of a run are put together; parts may be missing. Raises
@@ -74,7 +78,7 @@ def read_runs(paths: Sequence[Path]) -> list[Document]:
     return runs
 
 
-def _judged(run: MergedRun) -> Document:
+def _judged(run: MergedRun) -> RunDocument:
     rows: list[Row] = []
     errors: dict[str, str] = {}
     for ref in run.samples:
@@ -82,8 +86,4 @@ def _judged(run: MergedRun) -> Document:
             rows.append(run.judge(ref))
         except SampleError as error:
             errors[ref.id] = str(error)
-    return run_document(
-        run,
-        RunTable.of(run, rows),
-        errors=errors,
-    )
+    return run_document(run, RunTable.of(run, rows), errors=errors)

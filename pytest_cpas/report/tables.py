@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias, TypeVar
 
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import (
+    ChangeDocument,
+    CountDocument,
+    Document,
+    PrecisionDocument,
+    PublishedCountDocument,
+    PublishedMethodDocument,
+    RunDocument,
+)
+
+#: What the paper prints of a data set, by method.
+Paper: TypeAlias = Mapping[str, PublishedMethodDocument]
+
+_Entry = TypeVar("_Entry", PrecisionDocument, ChangeDocument)
 
 
 @dataclass(frozen=True)
@@ -15,6 +29,19 @@ class Cell:
     correct: int
     total: int
     rank: int = 0
+
+    @classmethod
+    def measured(cls, count: CountDocument) -> Cell:
+        """Of a measured or golden count."""
+        return cls(count["correct"], count["total"])
+
+    @classmethod
+    def published(cls, count: PublishedCountDocument) -> Cell:
+        """Of a published count.
+
+        The paper's print leaves two counts open at most, which are the same for people.
+        """
+        return cls(count["lowest"], count["total"])
 
     @property
     def share(self) -> float:
@@ -36,18 +63,18 @@ class Line:
     cells: Sequence[Cell | None]
 
 
-def groups(document: Document) -> Iterator[tuple[str, list[Document], Document]]:
+def groups(document: Document) -> Iterator[tuple[str, list[RunDocument], Paper]]:
     """Per data set its title, its runs, and the paper's tables by method (empty if none)."""
-    members: dict[tuple[str, str | None], list[Document]] = {}
+    members: dict[tuple[str, str | None], list[RunDocument]] = {}
     for run in document["runs"]:
         members.setdefault((run["dataset"], run["published_as"]), []).append(run)
     for (dataset, name), runs in members.items():
         other = "" if name in (None, dataset) else f" (as many samples as {name})"
-        yield dataset + other, runs, document["published"].get(name, {})
+        yield dataset + other, runs, document["published"].get(name, {}) if name else {}
 
 
 def precision_table(
-    thresholds: Sequence[str], runs: Sequence[Document], published: Document
+    thresholds: Sequence[str], runs: Sequence[RunDocument], published: Paper
 ) -> list[Line]:
     """The table of one data set over all categories: the measured methods, then the paper's.
 
@@ -58,21 +85,27 @@ def precision_table(
 
 
 def category_tables(
-    thresholds: Sequence[str], runs: Sequence[Document], published: Document
+    thresholds: Sequence[str], runs: Sequence[RunDocument], published: Paper
 ) -> Iterator[tuple[str, list[str], list[Line]]]:
     """The tables of one data set per category, as (threshold, categories, lines).
 
     There is one for each threshold at which more than one method is known per category; the last
     of the categories is "all". The best three are marked as in :func:`precision_table`.
     """
-    entries = [entry for told in (*runs, *published.values()) for entry in told["precision"]]
+    known = {
+        (entry["threshold"], entry["category"])
+        for run in runs
+        for entry in run["precision"]
+        if entry["measured"] or entry["published"]
+    }
+    known |= {
+        (entry["threshold"], entry["category"])
+        for method in published.values()
+        for entry in method["precision"]
+    }
     for threshold in thresholds:
-        told = {
-            entry["category"]
-            for entry in entries
-            if entry["threshold"] == threshold and (entry.get("measured") or entry["published"])
-        }
-        categories = [*sorted(told - {"all"}), "all"]
+        named = {category for label, category in known if label == threshold}
+        categories = [*sorted(named - {"all"}), "all"]
         lines = [
             line
             for line in _lines(runs, published, [(name, threshold) for name in categories])
@@ -83,13 +116,13 @@ def category_tables(
 
 
 def _lines(
-    runs: Sequence[Document], published: Document, columns: Sequence[tuple[str, str]]
+    runs: Sequence[RunDocument], published: Paper, columns: Sequence[tuple[str, str]]
 ) -> list[Line]:
     """Lines with a cell for each (category, threshold), the best three of a column marked."""
-    lines = [(run["method"], False, _cells(run["precision"], "measured", columns)) for run in runs]
-    lines += [
-        (method, True, _cells(entry["precision"], "published", columns))
-        for method, entry in published.items()
+    known = [(run["method"], False, measured_cells(run)) for run in runs]
+    known += [(name, True, published_cells(method)) for name, method in published.items()]
+    lines = [
+        (method, paper, [cells.get(column) for column in columns]) for method, paper, cells in known
     ]
     ranked = [_ranked(column) for column in zip(*(cells for *_, cells in lines), strict=True)]
     return [
@@ -98,32 +131,37 @@ def _lines(
     ]
 
 
-def category_lines(told: Document) -> Iterator[tuple[str, list[Document]]]:
+def category_lines(entries: Sequence[_Entry]) -> Iterator[tuple[str, list[_Entry]]]:
     """The precision of a run, or of two, per category: the entries in order of the thresholds."""
-    for category in dict.fromkeys(entry["category"] for entry in told["precision"]):
-        yield category, [entry for entry in told["precision"] if entry["category"] == category]
+    for category in dict.fromkeys(entry["category"] for entry in entries):
+        yield category, [entry for entry in entries if entry["category"] == category]
 
 
-def percent(count: Document) -> str:
-    """The precision of a measured, golden or published count for people."""
-    return as_cell(count).percent
-
-
-def _cells(
-    entries: Sequence[Document], kind: str, columns: Sequence[tuple[str, str]]
-) -> list[Cell | None]:
-    counts = {
-        (entry["category"], entry["threshold"]): entry[kind]
-        for entry in entries
-        if entry[kind] is not None
+def measured_cells(run: RunDocument) -> dict[tuple[str, str], Cell]:
+    """By category and threshold; what is n/a is left out."""
+    return {
+        (entry["category"], entry["threshold"]): Cell.measured(count)
+        for entry in run["precision"]
+        if (count := entry["measured"]) is not None
     }
-    return [as_cell(counts[column]) if column in counts else None for column in columns]
 
 
-def as_cell(count: Document) -> Cell:
-    """A measured, golden or published count as a cell."""
-    # the paper's print leaves two counts open at most, which are the same for people
-    return Cell(count["correct"] if "correct" in count else count["lowest"], count["total"])
+def published_cells(method: PublishedMethodDocument) -> dict[tuple[str, str], Cell]:
+    """By category and threshold."""
+    return {
+        (entry["category"], entry["threshold"]): Cell.published(entry["published"])
+        for entry in method["precision"]
+    }
+
+
+def other_cells(entry: PrecisionDocument) -> list[tuple[str, Cell]]:
+    """What stands beside a measured count: where it comes from, and the cell."""
+    cells = []
+    if entry["golden"]:
+        cells.append(("golden", Cell.measured(entry["golden"])))
+    if entry["published"]:
+        cells.append(("published", Cell.published(entry["published"])))
+    return cells
 
 
 def _ranked(column: Sequence[Cell | None]) -> list[Cell | None]:

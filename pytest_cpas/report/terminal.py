@@ -7,8 +7,21 @@ from collections.abc import Sequence
 import pytest
 
 from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.document import Document
-from pytest_cpas.report.words import contract_words, judged_words, speed_lines, verdict_words
+from pytest_cpas.report.documents import (
+    ContractDocument,
+    CountDocument,
+    PrecisionDocument,
+    RunDocument,
+    SampleDocument,
+    SpeedDocument,
+    VerdictDocument,
+)
+from pytest_cpas.report.messages import (
+    contract_message,
+    judged_message,
+    speed_lines,
+    verdict_message,
+)
 
 #: A run of at most this many samples shows each of them.
 _FEW = 20
@@ -19,7 +32,7 @@ def shows_samples(config: pytest.Config, judged: int) -> bool:
     return judged <= _FEW or config.get_verbosity() > 0
 
 
-def print_run(terminal: pytest.TerminalReporter, run: Document) -> None:
+def print_run(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
     """Print what was missing, the contract, the samples of a small run, the precision table, the
     verdict, and what explains it."""
     terminal.section(f"{run['method']} on {run['dataset']}", bold=True)
@@ -30,8 +43,8 @@ def print_run(terminal: pytest.TerminalReporter, run: Document) -> None:
         print_table(terminal, _sample_lines(run["samples"]))
     if run["judged"]:
         print_table(terminal, _precision_lines(run["precision"]))
-    terminal.write_line(judged_words(run))
-    by_word: dict[str, list[Document]] = {}
+    terminal.write_line(judged_message(run))
+    by_word: dict[str, list[VerdictDocument]] = {}
     for verdict in run["verdicts"]:
         by_word.setdefault(verdict["word"], []).append(verdict)
     for word, group in by_word.items():
@@ -40,7 +53,7 @@ def print_run(terminal: pytest.TerminalReporter, run: Document) -> None:
         if len(group) == 1 or outcome == "failed":
             for verdict in group:
                 # the rest of it stands among the failures
-                first = verdict_words(verdict).splitlines()[0]
+                first = verdict_message(verdict).splitlines()[0]
                 terminal.write_line(f"golden: {first}", **colour)
         else:
             names = ", ".join(verdict["category"] for verdict in group)
@@ -52,7 +65,7 @@ def print_run(terminal: pytest.TerminalReporter, run: Document) -> None:
         _print_speed(terminal, run["speed"])
 
 
-def _print_speed(terminal: pytest.TerminalReporter, speed: Document) -> None:
+def _print_speed(terminal: pytest.TerminalReporter, speed: SpeedDocument) -> None:
     verdict, *facts = speed_lines(speed)
     outcome = speed["verdict"]["outcome"]
     terminal.write_line(f"speed: {verdict}", red=outcome == "failed", green=outcome == "passed")
@@ -60,13 +73,13 @@ def _print_speed(terminal: pytest.TerminalReporter, speed: Document) -> None:
         terminal.write_line(f"  {line}")
 
 
-def _print_contract(terminal: pytest.TerminalReporter, results: Sequence[Document]) -> None:
-    if words := contract_words(results):
+def _print_contract(terminal: pytest.TerminalReporter, results: Sequence[ContractDocument]) -> None:
+    if message := contract_message(results):
         wrong = any(result["status"] in ("violated", "gone") for result in results)
-        terminal.write_line(words, red=wrong)
+        terminal.write_line(message, red=wrong)
 
 
-def _precision_lines(cells: Sequence[Document]) -> list[list[str]]:
+def _precision_lines(cells: Sequence[PrecisionDocument]) -> list[list[str]]:
     lines = {"": ["correct", *(threshold.label for threshold in THRESHOLDS)]}
     for cell in cells:
         line = lines.setdefault(cell["category"], [cell["category"]])
@@ -74,34 +87,33 @@ def _precision_lines(cells: Sequence[Document]) -> list[list[str]]:
     return list(lines.values())
 
 
-def _cell(count: Document | None) -> str:
+def _cell(count: CountDocument | None) -> str:
     if count is None:
         return "n/a"
     return f"{count['correct']}/{count['total']} {100 * count['correct'] / count['total']:5.1f} %"
 
 
-def _sample_lines(samples: Sequence[Document]) -> list[list[str]]:
+def _sample_lines(samples: Sequence[SampleDocument]) -> list[list[str]]:
     lines = [["sample", "category", "position", "rotation", "IoU", "F 1 cm", ""]]
     for sample in samples:
         if sample["outcome"] is None:  # told among the failures
             continue
-        remark = "" if sample["failure"] is None else f"failed: {sample['failure']}"
-        errors = (
-            ["-"] * 4
-            if remark
-            else [
-                f"{100 * sample['position_m']:.2f} cm",
-                f"{sample['rotation_deg']:.2f} deg",
-                _number(sample["iou"]),
-                _number(sample["fscore_1cm"]),
+        if sample["failure"] is None:
+            errors = [
+                _number(sample["position_m"], 100, 2, " cm"),
+                _number(sample["rotation_deg"], 1, 2, " deg"),
+                _number(sample["iou"], 1, 3),
+                _number(sample["fscore_1cm"], 1, 3),
+                "",
             ]
-        )
-        lines.append([sample["sample"], sample["category"], *errors, remark])
+        else:
+            errors = ["-"] * 4 + [f"failed: {sample['failure']}"]
+        lines.append([sample["sample"], sample["category"], *errors])
     return lines
 
 
-def _number(value: float | None) -> str:
-    return "n/a" if value is None else f"{value:.3f}"
+def _number(value: float | None, factor: float, decimals: int, unit: str = "") -> str:
+    return "n/a" if value is None else f"{factor * value:.{decimals}f}{unit}"
 
 
 def print_table(terminal: pytest.TerminalReporter, lines: Sequence[Sequence[str]]) -> None:

@@ -13,7 +13,7 @@ from pytest_cpas.diagnosis.running import MOST_TRUTHS
 from pytest_cpas.evaluation import Row, Run
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import DirectionsDocument, UpAxesDocument
 from pytest_cpas.types import Array, ContractError
 from pytest_cpas.types.samples import evenly
 
@@ -24,7 +24,7 @@ SHOWN = 400
 _WIDTH, _HEIGHT, _RADIUS, _DOT = 220, 236, 92, 3.4
 
 
-def up_axes(run: Run, rows: Sequence[Row]) -> Document | None:
+def up_axes(run: Run, rows: Sequence[Row]) -> UpAxesDocument | None:
     """The up axes of a run's answers and of the truths, camera frame; None for perturbed data.
 
     A side is None where nothing is known: no answer is finite, or only rows are left. Truths that
@@ -49,7 +49,7 @@ def up_axes(run: Run, rows: Sequence[Row]) -> Document | None:
     }
 
 
-def _side(directions: Array) -> Document | None:
+def _side(directions: Array) -> DirectionsDocument | None:
     directions = directions[np.isfinite(directions).all(axis=1)]
     if not len(directions):
         return None
@@ -65,7 +65,7 @@ def _side(directions: Array) -> Document | None:
     }
 
 
-def disc(side: Document, title: str, *, estimate: bool) -> Element:
+def disc(side: DirectionsDocument, title: str, *, estimate: bool) -> Element:
     """The whole sphere in Lambert's equal-area projection, as ``--cpas-pictures`` draws it.
 
     The middle is the image's up (-y), the rim its down; to the right is the camera's right (+x),
@@ -86,7 +86,7 @@ def disc(side: Document, title: str, *, estimate: bool) -> Element:
     for right, down in middle + _RADIUS * lambert(np.array(side["directions"])):
         dots.append(f"M{right:.1f} {down:.1f}h0")
     equator = _RADIUS / math.sqrt(2)
-    words = (
+    figures = (
         f"{side['count']} directions, mean resultant length {side['resultant']:.3f}; within"
         f" {REACH:.0f} deg of {100 * side['coverage']:.0f} % of what as many uniform ones reach"
     )
@@ -95,7 +95,7 @@ def disc(side: Document, title: str, *, estimate: bool) -> Element:
         element(
             "svg",
             element("title", f"Up axes: {title}"),
-            element("desc", words),
+            element("desc", figures),
             rings,
             element(
                 "path",
@@ -117,8 +117,8 @@ def disc(side: Document, title: str, *, estimate: bool) -> Element:
             ],
             viewBox=f"0 0 {_WIDTH} {_HEIGHT}",
             role="img",
-            aria_label=f"Up axes: {title}: {words}",
+            aria_label=f"Up axes: {title}: {figures}",
         ),
-        element("figcaption", title, element("small", words)),
+        element("figcaption", title, element("small", figures)),
         class_="sphere",
     )

@@ -30,7 +30,8 @@ from pytest_cpas.golden.comparison import GOOD, Verdict, Word, compare
 from pytest_cpas.golden.published import compare_published, published_cells
 from pytest_cpas.golden.snapshot import golden_folder
 from pytest_cpas.report.against import against, pairs
-from pytest_cpas.report.document import Document, document, run_document
+from pytest_cpas.report.document import document, run_document
+from pytest_cpas.report.documents import RunConditions, RunDocument, SpeedDocument
 from pytest_cpas.report.files import write_report
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.robustness import print_curves
@@ -71,8 +72,8 @@ class CpasSession(SuiteSession):
         self.contract: dict[Run, dict[str, ContractResult]] = {run: {} for run in self.runs}
         self.errors: dict[Run, dict[str, str]] = {run: {} for run in self.runs}
         #: What --cpas-benchmark measured; see :mod:`pytest_cpas.session.speed_session`.
-        self.speed: dict[Run, Document] = {}
-        self.documents: list[Document] = []
+        self.speed: dict[Run, SpeedDocument] = {}
+        self.documents: list[RunDocument] = []
         self.others = _other_runs(config, self.runs)
         self.progress = watch(config, self.runs, self.rows)
         self._broken = 0
@@ -185,7 +186,7 @@ class CpasSession(SuiteSession):
         golden: RunTable | None = None,
         verdicts: Sequence[Verdict] = (),
         findings: Sequence[Finding] = (),
-    ) -> Document:
+    ) -> RunDocument:
         return run_document(
             run,
             table,
@@ -394,16 +395,19 @@ def _method_runs(
     return runs
 
 
-def _other_runs(config: pytest.Config, runs: Sequence[Run]) -> list[Document]:
+def _other_runs(config: pytest.Config, runs: Sequence[Run]) -> list[RunDocument]:
     """What to compare the runs with; that they fit is known before any is judged."""
     here = config.invocation_params.dir
     paths = [here / name for name in config.option.cpas_against]
     if not paths or hasattr(config, "workerinput"):
         return []
-    names = ("method", "dataset", "identity")
+    conditions: list[RunConditions] = [
+        {"method": run.method, "dataset": run.dataset, "identity": dict(run.identity)}
+        for run in runs
+    ]
     try:
         others = read_runs(paths)
-        pairs([{name: getattr(run, name) for name in names} for run in runs], others)
+        pairs(conditions, others)
     except (ResultsError, StoredReportError) as error:
         raise pytest.UsageError(str(error)) from error
     return others

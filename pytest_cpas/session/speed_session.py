@@ -8,7 +8,7 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import ItemOutcome, SpeedDocument, SpeedVerdictDocument
 from pytest_cpas.session.method_session import CpasSession, cpas_session, make_method
 from pytest_cpas.session.suite_session import SuiteSession
 from pytest_cpas.timing.running import Plan, Rival, SpeedRun
@@ -17,7 +17,7 @@ from pytest_cpas.timing.workers import TimingError
 from pytest_cpas.types import ContractError
 
 #: Where an item keeps the document of what it measured.
-MEASURED = pytest.StashKey[Document]()
+MEASURED = pytest.StashKey[SpeedDocument]()
 
 #: How a revision is told from a method's name.
 _REVISION = "git:"
@@ -57,11 +57,11 @@ class SpeedSession(SuiteSession):
         index, document = found
         self.cpas.speed[self.cpas.runs[index]] = document
 
-    def outcome(self, verdict: Verdict) -> str:
+    def outcome(self, verdict: Verdict) -> ItemOutcome:
         """As what the item ends."""
         return verdict.outcome(self.config.option.cpas_require_golden)
 
-    def told(self, verdict: Verdict) -> Document:
+    def verdict_document(self, verdict: Verdict) -> SpeedVerdictDocument:
         """The verdict in the document."""
         return {
             "word": verdict.word.value,

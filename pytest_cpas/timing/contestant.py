@@ -16,17 +16,20 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any, Final, Literal, TypedDict
+
+if TYPE_CHECKING:
+    from pytest_cpas.report.documents import Clock, MemoryDocument
 
 #: What peak memory is of.
-PREDICTIONS, PROCESS = "predictions", "process"
-
+PREDICTIONS: Final = "predictions"
+PROCESS: Final = "process"
 
 #: Linux tells here how long a thread was ready to run while its core had other work.
 SCHEDSTAT = Path("/proc/thread-self/schedstat")
 
 #: What :func:`now` is, in the document.
-CLOCKS = ("wall clock", "wall clock without waiting for a core")
+CLOCKS: tuple[Clock, Clock] = ("wall clock", "wall clock without waiting for a core")
 
 
 def now() -> float:
@@ -75,6 +78,26 @@ def seconds_of(call: Callable[[], object], synchronise: Callable[[], None]) -> f
             gc.enable()
 
 
+class Examined(TypedDict):
+    """Some ``predictions`` of a method: the ``total`` of their seconds, that of each of their
+    ``stages`` by name, and the peak of ``memory``."""
+
+    predictions: int
+    total: float
+    stages: dict[str, float]
+    memory: MemoryDocument
+
+
+class ProcessFacts(TypedDict):
+    """What is known of a process that times: its ``clock``, the ``device``'s name, and ``threads``
+    and ``versions`` of the libraries in it."""
+
+    clock: Clock
+    device: str
+    threads: dict[str, int]
+    versions: dict[str, str]
+
+
 class Contestant:
     """A loaded method and the observations that it is timed with."""
 
@@ -109,9 +132,8 @@ class Contestant:
         for _ in range(self._repetitions):
             self._method.predict([self._observations[index]], self._seed)
 
-    def examine(self) -> dict[str, Any]:
-        """Some ``predictions`` for each observation: the ``total`` of their seconds, that of each
-        of their ``stages``, and the peak of ``memory``."""
+    def examine(self) -> Examined:
+        """Some predictions for each observation."""
         from pytest_cpas.stages import StageClock
 
         clock = StageClock(now, self._synchronise)
@@ -125,9 +147,8 @@ class Contestant:
             "memory": memory.peak(),
         }
 
-    def facts(self) -> dict[str, Any]:
-        """The ``clock``, the ``device``'s name, and ``threads`` and ``versions`` of the libraries
-        in this process."""
+    def facts(self) -> ProcessFacts:
+        """What is known of this process."""
         from threadpoolctl import threadpool_info
 
         threads = {pool["internal_api"]: int(pool["num_threads"]) for pool in threadpool_info()}
@@ -167,12 +188,12 @@ class PeakMemory:
         try:
             # Linux: the high-water mark of the resident memory begins anew
             Path("/proc/self/clear_refs").write_text("5")
-            self._source = PREDICTIONS
+            self._source: Literal["predictions", "process"] = PREDICTIONS
         except OSError:
             self._source = PROCESS
 
-    def peak(self) -> dict[str, Any]:
-        """As below ``memory`` in the schema of the report."""
+    def peak(self) -> MemoryDocument:
+        """What was held at most."""
         host = _high_water_mark() if self._source == PREDICTIONS else _peak_of_process()
         on_device = None
         if self._torch is not None:

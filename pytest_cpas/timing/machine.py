@@ -5,15 +5,15 @@ from __future__ import annotations
 import functools
 import os
 import platform
-from collections.abc import Mapping
-from typing import Any
 
 from cpuinfo import get_cpu_info
 
+from pytest_cpas.report.documents import MachineDocument
+from pytest_cpas.timing.contestant import ProcessFacts
 
-def machine(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """As below ``machine`` in the schema of the report; ``facts`` as of
-    :meth:`pytest_cpas.timing.contestant.Contestant.facts`."""
+
+def machine(facts: ProcessFacts) -> MachineDocument:
+    """This machine, on which a process times."""
     return {
         "clock": facts["clock"],
         "cpu": _cpu(),

@@ -16,6 +16,7 @@ from typing import Any
 
 from pytest_cpas._files import toml_string, write_text
 from pytest_cpas.golden import differences
+from pytest_cpas.report.documents import MachineDocument
 from pytest_cpas.timing.intervals import (
     RECORD_CONFIDENCE,
     RECORD_LOOK_CONFIDENCE,
@@ -104,7 +105,7 @@ class SpeedRecord:
         return cls(content["identity"], content["provenance"], ratios, Interval(1.0, **spread))
 
 
-def identity_of(run: Mapping[str, str], machine: Mapping[str, Any], kernel: str) -> dict[str, str]:
+def identity_of(run: Mapping[str, str], machine: MachineDocument, kernel: str) -> dict[str, str]:
     """What must agree: data, seed and device of the run's identity, the kernel, the machine."""
     threads = {f"{_THREADS}{name}": str(n) for name, n in machine["threads"].items()}
     return {
@@ -118,7 +119,7 @@ def identity_of(run: Mapping[str, str], machine: Mapping[str, Any], kernel: str)
     }
 
 
-def provenance_of(machine: Mapping[str, Any]) -> dict[str, str]:
+def provenance_of(machine: MachineDocument) -> dict[str, str]:
     """What else is known of the machine."""
     return {
         "system": machine["system"],
@@ -144,7 +145,7 @@ def incomparable(record: SpeedRecord, identity: Mapping[str, str], names: Sequen
     return "; ".join(told)
 
 
-def record_path(golden: Path, method: str, dataset: str, machine: Mapping[str, Any]) -> Path:
+def record_path(golden: Path, method: str, dataset: str, machine: MachineDocument) -> Path:
     """Where the ratio of a method on a data set and a machine is recorded."""
     device = machine["cpu"] if machine["device"] == "cpu" else machine["device"]
     slug = re.sub(r"[^a-z0-9]+", "-", device.lower()).strip("-") or "unknown"

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import statistics
 import tempfile
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.golden.published import published_time
+from pytest_cpas.golden.published import PublishedTime, published_time
+from pytest_cpas.report.documents import (
+    IntervalDocument,
+    MeasuredSpeedDocument,
+    PublishedTimeDocument,
+    ReferenceDocument,
+    StageDocument,
+)
 from pytest_cpas.timing.calibration import Calibration, kernel_for
 from pytest_cpas.timing.comparison import Comparison, WithRecord, WithRival
-from pytest_cpas.timing.contestant import Contestant, write_observations
+from pytest_cpas.timing.contestant import Contestant, Examined, write_observations
 from pytest_cpas.timing.intervals import CONFIDENCE, LOOKS, Interval, median_interval
 from pytest_cpas.timing.machine import machine
 from pytest_cpas.timing.measuring import Rounds, time_rounds, timed_samples
@@ -27,8 +35,6 @@ from pytest_cpas.timing.records import (
 from pytest_cpas.timing.verdicts import Verdict, Word
 from pytest_cpas.timing.workers import Adapter, Revision, Worker
 from pytest_cpas.types import MethodInfo, Observation
-
-Document = dict[str, Any]
 
 #: A round has so many predictions that it takes at least as many seconds; the calibration kernel
 #: is repeated until it takes as long as a round, up to the second number.
@@ -81,7 +87,7 @@ class SpeedRun:
         """The clock for pytest-benchmark: the seconds that the method has taken in rounds."""
         return self._rounds.elapsed() if self._rounds else 0.0
 
-    def measure(self, benchmark: Any) -> tuple[Verdict, Document]:
+    def measure(self, benchmark: Any) -> tuple[Verdict, MeasuredSpeedDocument]:
         """The verdict, and what the report holds below ``speed`` but for that.
 
         ``benchmark``: pytest-benchmark's fixture with :meth:`elapsed` for its timer. Raises what
@@ -117,18 +123,29 @@ class SpeedRun:
                 )
                 time_rounds(benchmark, rounds, LOOKS, comparison.undecided)
                 verdict, slowdown = comparison.verdict(rounds), comparison.slowdown(rounds)
-        kind = "calibration"
-        if plan.rival:
-            kind = "method" if plan.rival.method else "revision"
-        reference_told = {"kind": kind, "name": reference.name}
-        paper = published_time(self.run.method)
         return verdict, {
-            **_measured(rounds, examined, reference_told),
+            "seconds": _interval(rounds.candidate_seconds),
+            "mean_seconds": statistics.fmean(rounds.candidate_seconds),
+            "rounds": len(rounds.candidate_seconds),
+            "samples": rounds.samples,
+            "stages": _stages(examined),
+            "memory": examined["memory"],
+            "reference": self._reference(reference.name, rounds),
+            "ratio": _interval([ratio for _, ratio in rounds.ratios]),
             "predictions_per_round": repetitions,
             "machine": on,
-            "slowdown": slowdown and asdict(slowdown),
-            "published": paper and asdict(paper),
+            "slowdown": None if slowdown is None else _interval_document(slowdown),
+            "published": _published(published_time(self.run.method)),
         }
+
+    def _reference(self, name: str, rounds: Rounds) -> ReferenceDocument:
+        """What the method was timed in turns with."""
+        rival = self.plan.rival
+        if rival is None:
+            kind: Literal["calibration", "method", "revision"] = "calibration"
+        else:
+            kind = "method" if rival.method else "revision"
+        return {"kind": kind, "name": name, "seconds": _interval(rounds.reference_seconds)}
 
     def _contestants(
         self, stack: ExitStack, observations: list[Observation]
@@ -175,27 +192,32 @@ def _warm_up(candidate: Contestant | Worker, reference: Calibration | Worker, sa
     return repetitions
 
 
-def _measured(rounds: Rounds, examined: Document, reference: Document) -> Document:
-    """What the rounds, and :meth:`Contestant.examine`, give."""
+def _stages(examined: Examined) -> list[StageDocument]:
+    return [
+        {
+            "name": name,
+            "seconds": seconds / examined["predictions"],
+            "share": min(seconds / examined["total"], 1.0),
+        }
+        for name, seconds in examined["stages"].items()
+    ]
 
-    def told(values: list[float]) -> Document:
-        interval: Interval = median_interval(values, CONFIDENCE)
-        return asdict(interval)
 
+def _interval(values: Sequence[float]) -> IntervalDocument:
+    """The median of some values, and what it lies between."""
+    return _interval_document(median_interval(values, CONFIDENCE))
+
+
+def _interval_document(interval: Interval) -> IntervalDocument:
     return {
-        "seconds": told(rounds.candidate_seconds),
-        "mean_seconds": statistics.fmean(rounds.candidate_seconds),
-        "rounds": len(rounds.candidate_seconds),
-        "samples": rounds.samples,
-        "stages": [
-            {
-                "name": name,
-                "seconds": seconds / examined["predictions"],
-                "share": min(seconds / examined["total"], 1.0),
-            }
-            for name, seconds in examined["stages"].items()
-        ],
-        "memory": examined["memory"],
-        "reference": {**reference, "seconds": told(rounds.reference_seconds)},
-        "ratio": told([ratio for _, ratio in rounds.ratios]),
+        "median": interval.median,
+        "lower": interval.lower,
+        "upper": interval.upper,
+        "confidence": interval.confidence,
     }
+
+
+def _published(time: PublishedTime | None) -> PublishedTimeDocument | None:
+    if time is None:
+        return None
+    return {"dataset": time.dataset, "mean_seconds": time.mean_seconds, "machine": time.machine}

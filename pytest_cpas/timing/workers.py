@@ -86,13 +86,15 @@ class Worker:
         """As :meth:`Contestant.settle`."""
         self._ask(call="settle", arguments=[repetitions])
 
-    def examine(self) -> dict[str, Any]:
+    def examine(self) -> contestant.Examined:
         """As :meth:`Contestant.examine`."""
-        return dict(self._ask(call="examine", arguments=[]))
+        examined: contestant.Examined = self._ask(call="examine", arguments=[])
+        return examined
 
-    def facts(self) -> dict[str, Any]:
+    def facts(self) -> contestant.ProcessFacts:
         """As :meth:`Contestant.facts`."""
-        return dict(self._ask(call="facts", arguments=[]))
+        facts: contestant.ProcessFacts = self._ask(call="facts", arguments=[])
+        return facts
 
     def close(self) -> None:
         """End the process."""

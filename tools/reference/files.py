@@ -97,4 +97,7 @@ def _type(field: dict[str, Any]) -> str:
     kinds = given if isinstance(given, list) else [given]
     if isinstance(field.get("items"), dict):
         kinds = [f"array of {_type(field['items'])}" if k == "array" else k for k in kinds]
+    if isinstance(field.get("additionalProperties"), dict):
+        values = _type(field["additionalProperties"])
+        kinds = [f"object of {values}" if k == "object" else k for k in kinds]
     return " or ".join(kinds)

@@ -12,13 +12,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pytest_cpas.report._html import Child, Element, element, page_text
-from pytest_cpas.report.document import SEVERITY, Document
+from pytest_cpas.report.document import SEVERITY
+from pytest_cpas.report.documents import Document, RunDocument
+from pytest_cpas.report.messages import judged_message, outcome_message, run_title, verdicts_message
 from pytest_cpas.report.page._comparison import comparison
 from pytest_cpas.report.page._methods import overview, precision, run_times, up_axes
 from pytest_cpas.report.page._parts import badge, sample_link
 from pytest_cpas.report.page._runs import run_details
 from pytest_cpas.report.page._samples import sample_data, sample_list
-from pytest_cpas.report.words import golden_words, judged_words, outcome_words, run_name
 
 
 def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]) -> str:
@@ -53,7 +54,7 @@ def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, byt
         element("meta", charset="utf-8"),
         element("meta", http_equiv="Content-Security-Policy", content=policy),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("title", f"{outcome_words(document['outcome'])}: pytest-cpas"),
+        element("title", f"{outcome_message(document['outcome'])}: pytest-cpas"),
         element("style", _asset("page.css")),
     )
     return page_text(element("html", head, element("body", main), lang="en"))
@@ -65,9 +66,10 @@ def _asset(name: str) -> str:
 
 def _header(document: Document) -> Element:
     runs = document["runs"]
-    judged, listed = (sum(run[key] for run in runs) for key in ("judged", "listed"))
+    judged = sum(run["judged"] for run in runs)
+    listed = sum(run["listed"] for run in runs)
     counts = [
-        f"{sum(run['outcome'] == outcome for run in runs)} {outcome_words(outcome).lower()}"
+        f"{sum(run['outcome'] == outcome for run in runs)} {outcome_message(outcome).lower()}"
         for outcome in SEVERITY
         if any(run["outcome"] == outcome for run in runs)
     ]
@@ -85,7 +87,7 @@ def _header(document: Document) -> Element:
     )
 
 
-def _card(run: Document, index: int) -> Element:
+def _card(run: RunDocument, index: int) -> Element:
     links: list[Child] = []
     lost = sum(bool(flip["lost"]) for flip in run["flips"])
     gained = sum(bool(flip["gained"]) for flip in run["flips"])
@@ -101,9 +103,9 @@ def _card(run: Document, index: int) -> Element:
     return element(
         "div",
         badge(run["outcome"]),
-        element("strong", element("a", run_name(run), href=f"#run-{index}")),
-        element("p", judged_words(run)),
-        element("p", golden_words(run), class_="faint"),
+        element("strong", element("a", run_title(run), href=f"#run-{index}")),
+        element("p", judged_message(run)),
+        element("p", verdicts_message(run), class_="faint"),
         element("p", f"speed: {run['speed']['verdict']['word']}", class_="faint")
         if run["speed"]
         else None,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import ChangeDocument, Document
+from pytest_cpas.report.messages import change_messages, pair_lines, pair_title, worst_flips_first
 from pytest_cpas.report.page._parts import flip_table, sample_link, table
 from pytest_cpas.report.tables import category_lines
-from pytest_cpas.report.words import change_words, pair_title, pair_words, worst_flips_first
 
 #: Differences between two runs that are less probable than this by chance are coloured.
 _TELLING = 0.05
@@ -22,7 +22,7 @@ def comparison(document: Document) -> Iterator[Element]:
     yield element("h2", "Compared with another run", id="against")
     for pair in against["pairs"]:
         yield element("h3", pair_title(pair))
-        first, *conditions = pair_words(pair)
+        first, *conditions = pair_lines(pair)
         yield element("p", first)
         if conditions:
             yield element("pre", "\n".join(conditions))
@@ -30,7 +30,7 @@ def comparison(document: Document) -> Iterator[Element]:
             ["before → now", *document["thresholds"]],
             [
                 element("tr", element("td", category), [_change_cell(entry) for entry in entries])
-                for category, entries in category_lines(pair)
+                for category, entries in category_lines(pair["precision"])
             ],
         )
         yield element(
@@ -40,17 +40,18 @@ def comparison(document: Document) -> Iterator[Element]:
             class_="faint",
         )
         if pair["flips"]:
-            kinds = ((f"{kind} since", kind) for kind in ("lost", "gained"))
-            counts = [(sum(bool(f[kind]) for f in pair["flips"]), word) for word, kind in kinds]
-            yield element("p", [sample_link(n, pair, word) for n, word in counts if n])
+            lost = sum(bool(flip["lost"]) for flip in pair["flips"])
+            gained = sum(bool(flip["gained"]) for flip in pair["flips"])
+            counts = ((lost, "lost since"), (gained, "gained since"))
+            yield element("p", [sample_link(n, pair, verdict) for n, verdict in counts if n])
             yield from flip_table(worst_flips_first(pair["flips"]))
     if against["unpaired"]:
         yield element("p", "Without a counterpart: ", ", ".join(against["unpaired"]))
 
 
-def _change_cell(entry: Document) -> Element:
-    precision, flips = change_words(entry)
+def _change_cell(change: ChangeDocument) -> Element:
+    precision, flips = change_messages(change)
     kind = None
-    if entry["p"] is not None and entry["p"] < _TELLING:
-        kind = "met" if entry["gained"] > entry["lost"] else "unmet"
+    if change["p"] is not None and change["p"] < _TELLING:
+        kind = "met" if change["gained"] > change["lost"] else "unmet"
     return element("td", element("span", precision, class_=kind), element("small", flips))

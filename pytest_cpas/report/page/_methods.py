@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.curves import charts, curve_lines
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import Document, PublishedTimeDocument
+from pytest_cpas.report.messages import duration_message, method_title, run_title, speed_lines
 from pytest_cpas.report.page._parts import table
 from pytest_cpas.report.scatter import PAIRS, dataset_pairs, methods
 from pytest_cpas.report.scatter import charts as scatter_charts
 from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
 from pytest_cpas.report.up_axes import disc
-from pytest_cpas.report.words import method_title, run_name, seconds_words, speed_lines
 
 
 def precision(document: Document) -> Iterator[Element]:
@@ -61,13 +61,13 @@ def _precision_cell(cell: Cell | None) -> Element:
 def up_axes(document: Document) -> Iterator[Element]:
     """Per data set where up axes point: the truth once, and the estimates of every run."""
     for title, runs, _ in groups(document):
-        known = [run for run in runs if run["up_axes"]]
-        true = next((run["up_axes"]["truth"] for run in known if run["up_axes"]["truth"]), None)
+        known = [(run["method"], axes) for run in runs if (axes := run["up_axes"])]
+        true = next((axes["truth"] for _, axes in known if axes["truth"]), None)
         discs = [disc(true, "truth", estimate=False)] if true else []
         discs += [
-            disc(run["up_axes"]["estimate"], run["method"], estimate=True)
-            for run in known
-            if run["up_axes"]["estimate"]
+            disc(axes["estimate"], method, estimate=True)
+            for method, axes in known
+            if axes["estimate"]
         ]
         if discs:
             yield element("h2", f"Up axes on {title}")
@@ -91,7 +91,7 @@ def overview(document: Document) -> Iterator[Element]:
                     for label in document["thresholds"]
                     for share in (method.precision.get(name, {}).get(label) for name in pair)
                 ],
-                element("td", "-" if method.seconds is None else seconds_words(method.seconds)),
+                element("td", "-" if method.seconds is None else duration_message(method.seconds)),
                 class_="paper" if method.paper else None,
             )
             for method in known
@@ -119,21 +119,21 @@ def overview(document: Document) -> Iterator[Element]:
 
 def run_times(document: Document) -> Iterator[Element]:
     """What was measured, and the paper's times with their machine; neither is judged here."""
-    timed = [run for run in document["runs"] if run["speed"]]
+    timed = [(run, speed) for run in document["runs"] if (speed := run["speed"])]
     if not timed:
         return
     yield element("h2", "Run time", id="run-time")
-    for run in timed:
-        first, *rest = speed_lines(run["speed"])
-        yield element("h3", run_name(run))
-        failed = run["speed"]["verdict"]["outcome"] == "failed"
+    for run, speed in timed:
+        first, *rest = speed_lines(speed)
+        yield element("h3", run_title(run))
+        failed = speed["verdict"]["outcome"] == "failed"
         yield element("p", first, class_="failed" if failed else None)
         yield element("ul", [element("li", line) for line in rest])
-    printed: dict[str, Document] = {
-        method: entry["run_time"]
-        for entries in document["published"].values()
-        for method, entry in entries.items()
-        if entry["run_time"]
+    printed: dict[str, PublishedTimeDocument] = {
+        name: time
+        for methods in document["published"].values()
+        for name, method in methods.items()
+        if (time := method["run_time"])
     }
     if printed:
         machines = sorted({time["machine"] for time in printed.values()})
@@ -149,7 +149,7 @@ def run_times(document: Document) -> Iterator[Element]:
                 element(
                     "tr",
                     element("td", method_title(method, paper=True)),
-                    element("td", seconds_words(time["mean_seconds"])),
+                    element("td", duration_message(time["mean_seconds"])),
                     class_="paper",
                 )
                 for method, time in printed.items()

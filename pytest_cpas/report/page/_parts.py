@@ -6,20 +6,20 @@ from collections.abc import Iterator, Sequence
 from urllib.parse import urlencode
 
 from pytest_cpas.report._html import Child, Element, element
-from pytest_cpas.report.document import Document
-from pytest_cpas.report.words import flip_words, outcome_words, run_name
+from pytest_cpas.report.documents import FlipDocument, ItemOutcome, RunName
+from pytest_cpas.report.messages import flip_message, outcome_message, run_title
 
 #: Flips that the page lists with their errors; the list of samples has all.
 _FLIPS = 50
 
 
-def badge(outcome: str) -> Element:
+def badge(outcome: ItemOutcome) -> Element:
     """An outcome, in its colour."""
-    return element("span", outcome_words(outcome), class_=f"badge {outcome}")
+    return element("span", outcome_message(outcome), class_=f"badge {outcome}")
 
 
 def table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = False) -> Element:
-    """A table that scrolls; ``text``: its cells are words rather than numbers."""
+    """A table that scrolls; ``text``: its cells are text rather than numbers."""
     return element(
         "div",
         element(
@@ -32,7 +32,7 @@ def table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = False
     )
 
 
-def flip_table(flips: Sequence[Document]) -> Iterator[Element]:
+def flip_table(flips: Sequence[FlipDocument]) -> Iterator[Element]:
     """Flips with their errors before and after, and how many more there are."""
     yield table(
         ["sample", "category", "before", "now", "what changed"],
@@ -43,7 +43,7 @@ def flip_table(flips: Sequence[Document]) -> Iterator[Element]:
                 element("td", flip["category"]),
                 element("td", flip["before"]),
                 element("td", flip["after"]),
-                element("td", flip_words(flip), class_="wrap"),
+                element("td", flip_message(flip), class_="wrap"),
             )
             for flip in flips[:_FLIPS]
         ],
@@ -53,7 +53,7 @@ def flip_table(flips: Sequence[Document]) -> Iterator[Element]:
         yield element("p", f"and {len(flips) - _FLIPS} more", class_="faint")
 
 
-def sample_link(count: int, run: Document, verdict: str) -> Child:
+def sample_link(count: int, run: RunName, verdict: str) -> Child:
     """How many samples of a run have a verdict, as a link to the list of them."""
-    there = "#" + urlencode({"run": run_name(run), "verdict": verdict})
+    there = "#" + urlencode({"run": run_title(run), "verdict": verdict})
     return [element("a", f"{count} {verdict}", href=there), " "]

@@ -6,28 +6,28 @@ import base64
 from collections.abc import Iterator, Mapping, Sequence
 
 from pytest_cpas.report._html import Child, Element, element
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import Document, RunDocument
+from pytest_cpas.report.messages import contract_message, flip_message, run_title, troubles
 from pytest_cpas.report.page._parts import badge, flip_table, table
-from pytest_cpas.report.tables import category_lines, percent
-from pytest_cpas.report.words import contract_words, flip_words, run_name, troubles
+from pytest_cpas.report.tables import Cell, category_lines, other_cells
 
 #: Runs of which the details are unfolded although nothing is wrong with them.
 _UNFOLDED = 2
 
 
 def run_details(
-    run: Document, index: int, document: Document, pictures: Mapping[str, bytes]
+    run: RunDocument, index: int, document: Document, pictures: Mapping[str, bytes]
 ) -> Element:
     """Everything about a run, folded unless something is wrong with it."""
     opened = run["outcome"] == "failed" or len(document["runs"]) <= _UNFOLDED
     return element(
         "details",
-        element("summary", f"{run_name(run)} ", badge(run["outcome"])),
-        list(_told(run)),
+        element("summary", f"{run_title(run)} ", badge(run["outcome"])),
+        list(_troubles(run)),
         _gallery(run, pictures) if pictures else None,
         element("h3", "Per category"),
         _category_table(run, document["thresholds"]),
-        element("p", contract_words(run["contract"]), class_="faint"),
+        element("p", contract_message(run["contract"]), class_="faint"),
         element("h3", "Conditions"),
         table(
             ["what", "value"],
@@ -43,7 +43,7 @@ def run_details(
     )
 
 
-def _told(run: Document) -> Iterator[Element]:
+def _troubles(run: RunDocument) -> Iterator[Element]:
     """What is wrong, or missing."""
     for title, lines in troubles(run):
         yield element("h3", title)
@@ -53,17 +53,17 @@ def _told(run: Document) -> Iterator[Element]:
         yield from flip_table(run["flips"])
 
 
-def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
+def _gallery(run: RunDocument, pictures: Mapping[str, bytes]) -> Child:
     samples = {sample["sample"]: sample for sample in run["samples"]}
-    flips = {flip["sample"]: flip_words(flip) for flip in run["flips"]}
+    flips = {flip["sample"]: flip_message(flip) for flip in run["flips"]}
     figures = []
     for name, content in pictures.items():
         sample = samples[name]
         if sample["position_m"] is None or sample["rotation_deg"] is None:
-            words = f"no answer: {sample['failure']}" if sample["failure"] else "no errors"
+            errors = f"no answer: {sample['failure']}" if sample["failure"] else "no errors"
         else:
-            words = f"{100 * sample['position_m']:.2f} cm, {sample['rotation_deg']:.1f} deg"
-            words += "" if sample["fscore_1cm"] is None else f", F {sample['fscore_1cm']:.2f}"
+            errors = f"{100 * sample['position_m']:.2f} cm, {sample['rotation_deg']:.1f} deg"
+            errors += "" if sample["fscore_1cm"] is None else f", F {sample['fscore_1cm']:.2f}"
         source = f"data:image/webp;base64,{base64.b64encode(content).decode()}"
         figures.append(
             element(
@@ -74,7 +74,7 @@ def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
                 element(
                     "figcaption",
                     f"{sample['category']} {name}",
-                    element("small", words),
+                    element("small", errors),
                     element("small", flips[name]) if name in flips else None,
                 ),
             )
@@ -95,23 +95,21 @@ def _gallery(run: Document, pictures: Mapping[str, bytes]) -> Child:
     )
 
 
-def _category_table(run: Document, thresholds: Sequence[str]) -> Element:
+def _category_table(run: RunDocument, thresholds: Sequence[str]) -> Element:
     lines = []
-    for category, entries in category_lines(run):
+    for category, entries in category_lines(run["precision"]):
         cells = []
         for entry in entries:
-            count = entry["measured"]
             others = [
-                element("small", f"{kind} {percent(entry[kind])}")
-                for kind in ("golden", "published")
-                if entry[kind]
+                element("small", f"{source} {cell.percent}") for source, cell in other_cells(entry)
             ]
-            if count is None:
+            if entry["measured"] is None:
                 cells.append(element("td", "n/a", others, class_="faint"))
                 continue
-            width = f"width:{100 * count['correct'] / count['total']:.1f}%"
+            cell = Cell.measured(entry["measured"])
+            width = f"width:{100 * cell.correct / cell.total:.1f}%"
             bar = element("span", element("span", style=width), class_="bar")
-            fraction = f"{count['correct']}/{count['total']}"
-            cells.append(element("td", f"{fraction} {percent(count)}", bar, others))
+            text = f"{cell.correct}/{cell.total} {cell.percent}"
+            cells.append(element("td", text, bar, others))
         lines.append(element("tr", element("td", category), cells))
     return table(["correct at", *thresholds], lines)

@@ -6,16 +6,16 @@ import json
 from collections.abc import Sequence
 
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.document import Document
+from pytest_cpas.report.documents import Document, FlipDocument
+from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.page._parts import table
-from pytest_cpas.report.words import run_name
 
 
 def sample_list(several: bool) -> Element:
     """The form and the empty table; ``several``: there are several runs."""
 
     def choice(title: str, name: str, first: str, **options: str) -> Element:
-        made = [element("option", words, value=value) for value, words in options.items()]
+        made = [element("option", label, value=value) for value, label in options.items()]
         return element(
             "label",
             title,
@@ -53,7 +53,7 @@ def sample_list(several: bool) -> Element:
 
 def sample_data(document: Document) -> str:
     """What the script lists. No text in it can end the script element that it stands in."""
-    pairs = document.get("against", {"pairs": []})["pairs"]
+    pairs = document["against"]["pairs"] if "against" in document else []
     since = {(pair["method"], pair["dataset"]): pair["flips"] for pair in pairs}
     runs = []
     for run in document["runs"]:
@@ -65,20 +65,22 @@ def sample_data(document: Document) -> str:
                 categories.index(sample["category"]),
                 sample["outcome"],
                 sample["golden"],
-                *(_short(sample[key]) for key in ("position_m", "rotation_deg")),
-                *(_short(sample[key]) for key in ("iou", "fscore_1cm")),
+                _short(sample["position_m"]),
+                _short(sample["rotation_deg"]),
+                _short(sample["iou"]),
+                _short(sample["fscore_1cm"]),
                 sample["error"] or sample["failure"],
                 sample["failure"] is not None,
                 _since(flips.get(sample["sample"]), document["thresholds"]),
             ]
             for sample in run["samples"]
         ]
-        runs.append({"name": run_name(run), "categories": categories, "samples": samples})
+        runs.append({"name": run_title(run), "categories": categories, "samples": samples})
     data = {"thresholds": document["thresholds"], "runs": runs, "against": bool(pairs)}
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _since(flip: Document | None, thresholds: Sequence[str]) -> str | None:
+def _since(flip: FlipDocument | None, thresholds: Sequence[str]) -> str | None:
     """Per threshold whether another run lost (-) or gained (+) a sample, or neither (0)."""
     if flip is None:
         return None

@@ -1,19 +1,48 @@
-"""What all renderers of a document say in the same words."""
+"""The sentences of a report: all renderers of a document have them from here."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.document import SEVERITY, Document
+from pytest_cpas.report.document import SEVERITY
+from pytest_cpas.report.documents import (
+    ChangeDocument,
+    ContractDocument,
+    ContractStatus,
+    FlipDocument,
+    IntervalDocument,
+    ItemOutcome,
+    MemoryDocument,
+    PairDocument,
+    RunDocument,
+    RunName,
+    SpeedDocument,
+    StageDocument,
+    VerdictDocument,
+)
+
+_OUTCOMES: Mapping[ItemOutcome, str] = {
+    "failed": "FAILED",
+    "skipped": "NOT CHECKED",
+    "passed": "PASSED",
+}
+
+#: How the results of contract checks that did not pass are announced.
+_STATUSES: Mapping[ContractStatus, str] = {
+    "violated": "violated",
+    "known": "known",
+    "information": "not demanded (information)",
+    "gone": "known, but no longer violated",
+}
 
 
-def outcome_words(outcome: str) -> str:
+def outcome_message(outcome: ItemOutcome) -> str:
     """An outcome of a run or a session."""
-    return {"failed": "FAILED", "skipped": "NOT CHECKED", "passed": "PASSED"}[outcome]
+    return _OUTCOMES[outcome]
 
 
-def run_name(run: Document) -> str:
+def run_title(run: RunName) -> str:
     """What a run is called."""
     return f"{run['method']} on {run['dataset']}"
 
@@ -23,38 +52,33 @@ def method_title(name: str, paper: bool) -> str:
     return f"{name} (paper)" if paper else name
 
 
-def judged_words(run: Document) -> str:
+def judged_message(run: RunDocument) -> str:
     """How many samples a verdict is about."""
     answers = f", {run['unanswered']} without an answer" if run["unanswered"] else ""
     return f"{run['judged']} of {run['listed']} samples judged{answers}"
 
 
-def verdict_words(verdict: Document) -> str:
+def verdict_message(verdict: VerdictDocument) -> str:
     """A verdict on a category, with its details."""
     subject = "" if verdict["category"] == "all" else f" {verdict['category']}"
     return f"{verdict['word']}{subject}: {verdict['details']}"
 
 
-def contract_words(results: Sequence[Document]) -> str:
+def contract_message(results: Sequence[ContractDocument]) -> str:
     """How many checks of the contract passed, and which did not; empty if none was made."""
     judged = [result for result in results if result["status"] != "n/a"]
     if not judged:
         return ""
     passed = sum(result["status"] in ("passed", "gone") for result in judged)
     parts = [f"contract: {passed} of {len(judged)} checks passed"]
-    for status, words in (
-        ("violated", "violated"),
-        ("known", "known"),
-        ("information", "not demanded (information)"),
-        ("gone", "known, but no longer violated"),
-    ):
+    for status, announced in _STATUSES.items():
         names = [result["check"] for result in judged if result["status"] == status]
         if names:
-            parts.append(f"{len(names)} {words}: {', '.join(names)}")
+            parts.append(f"{len(names)} {announced}: {', '.join(names)}")
     return "; ".join(parts)
 
 
-def flip_words(flip: Document) -> str:
+def flip_message(flip: FlipDocument) -> str:
     """At which thresholds a sample is judged otherwise than by the golden table."""
     kinds = (("lost", flip["lost"]), ("gained", flip["gained"]), ("n/a changed", flip["changed"]))
     every = len(THRESHOLDS)
@@ -65,62 +89,59 @@ def flip_words(flip: Document) -> str:
     )
 
 
-def worst_flips_first(flips: Sequence[Document]) -> list[Document]:
+def worst_flips_first(flips: Sequence[FlipDocument]) -> list[FlipDocument]:
     """Flips that lost most thresholds first."""
     return sorted(flips, key=lambda flip: len(flip["gained"]) - len(flip["lost"]))
 
 
-def pair_title(pair: Document) -> str:
+def pair_title(pair: PairDocument) -> str:
     """What is compared with what."""
     other = "" if pair["other"] == pair["method"] else f" {pair['other']}"
     return f"{pair['method']} on {pair['dataset']} against{other or ' the other run'}"
 
 
-def pair_words(pair: Document) -> list[str]:
+def pair_lines(pair: PairDocument) -> list[str]:
     """On which samples two runs are compared, and what else differs between them."""
     count = pair["common"]
     lines = [f"{count} samples judged in both" if count else "no sample was judged in both"]
-    for key, words in (("only_here", "in this run only"), ("only_there", "in the other run only")):
-        if pair[key]:
-            lines[0] += f"; {pair[key]} {words}"
+    if pair["only_here"]:
+        lines[0] += f"; {pair['only_here']} in this run only"
+    if pair["only_there"]:
+        lines[0] += f"; {pair['only_there']} in the other run only"
     return [*lines, *pair["differences"]]
 
 
-def change_words(entry: Document) -> tuple[str, str]:
+def change_messages(change: ChangeDocument) -> tuple[str, str]:
     """What changed in a cell of two runs: the precisions, and the flips with their probability."""
-    if entry["before"] is None:
+    before, after = change["before"], change["after"]
+    if before is None or after is None:
         return "n/a", ""
-    old, new = (100 * entry[k]["correct"] / entry[k]["total"] for k in ("before", "after"))
+    old, new = (100 * count["correct"] / count["total"] for count in (before, after))
     precision = f"{old:.1f} → {new:.1f} % ({new - old:+.1f})"
-    if entry["p"] is None:
+    if change["p"] is None:
         return precision, "no flip"
-    return precision, f"{entry['lost']} lost, {entry['gained']} gained, p = {entry['p']:.2g}"
+    return precision, f"{change['lost']} lost, {change['gained']} gained, p = {change['p']:.2g}"
 
 
-def golden_words(run: Document) -> str:
+def verdicts_message(run: RunDocument) -> str:
     """The verdicts of a run, each word with its categories; what failed stands first."""
-    words: dict[str, list[str]] = {}
+    categories: dict[str, list[str]] = {}
     for verdict in sorted(run["verdicts"], key=lambda v: SEVERITY.index(v["outcome"])):
-        words.setdefault(verdict["word"], []).append(verdict["category"])
-    return "; ".join(f"{word} ({', '.join(names)})" for word, names in words.items())
+        categories.setdefault(verdict["word"], []).append(verdict["category"])
+    return "; ".join(f"{word} ({', '.join(names)})" for word, names in categories.items())
 
 
-def speed_lines(speed: Document) -> list[str]:
+def speed_lines(speed: SpeedDocument) -> list[str]:
     """What --cpas-benchmark measured; the verdict stands first."""
     verdict, reference, machine = speed["verdict"], speed["reference"], speed["machine"]
     lines = [
         f"{verdict['word']}: {verdict['details']}",
         f"{_seconds(speed['seconds'])} per sample, median of {speed['rounds']} rounds with"
-        f" {speed['samples']} samples (mean {seconds_words(speed['mean_seconds'])});"
+        f" {speed['samples']} samples (mean {duration_message(speed['mean_seconds'])});"
         f" {_factor(speed['ratio'])} times the {reference['kind']} {reference['name']}",
     ]
     if speed["stages"]:
-        lines.append(
-            "; ".join(
-                f"{stage['name']} {seconds_words(stage['seconds'])} ({100 * stage['share']:.0f} %)"
-                for stage in speed["stages"]
-            )
-        )
+        lines.append("; ".join(map(_stage, speed["stages"])))
     cores = "core" if machine["cores"] == 1 else "cores"
     device = "" if machine["device"] == "cpu" else f", {machine['device']}"
     lines.append(
@@ -128,13 +149,13 @@ def speed_lines(speed: Document) -> list[str]:
     )
     if paper := speed["published"]:
         lines.append(
-            f"the paper: {seconds_words(paper['mean_seconds'])} (mean) per sample of"
+            f"the paper: {duration_message(paper['mean_seconds'])} (mean) per sample of"
             f" {paper['dataset']}, on {paper['machine']}"
         )
     return lines
 
 
-def seconds_words(seconds: float) -> str:
+def duration_message(seconds: float) -> str:
     """A time in the unit that suits it."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
@@ -142,30 +163,34 @@ def seconds_words(seconds: float) -> str:
     return f"{seconds / 1e-6:.3g} us"
 
 
-def _seconds(interval: Document) -> str:
-    low, high = seconds_words(interval["lower"]), seconds_words(interval["upper"])
-    return f"{seconds_words(interval['median'])} ({low} to {high})"
+def _seconds(interval: IntervalDocument) -> str:
+    low, high = duration_message(interval["lower"]), duration_message(interval["upper"])
+    return f"{duration_message(interval['median'])} ({low} to {high})"
 
 
-def _factor(interval: Document) -> str:
+def _factor(interval: IntervalDocument) -> str:
     return f"{interval['median']:.3g} ({interval['lower']:.3g} to {interval['upper']:.3g})"
 
 
-def _memory(memory: Document) -> str:
+def _stage(stage: StageDocument) -> str:
+    return f"{stage['name']} {duration_message(stage['seconds'])} ({100 * stage['share']:.0f} %)"
+
+
+def _memory(memory: MemoryDocument) -> str:
     if memory["host_bytes"] is None:
-        told = "peak memory unknown"
+        peak = "peak memory unknown"
     else:
         since = "" if memory["host_source"] == "predictions" else " since the process began"
-        told = f"peak memory {memory['host_bytes'] / 2**20:.0f} MiB{since}"
+        peak = f"peak memory {memory['host_bytes'] / 2**20:.0f} MiB{since}"
     if memory["device_bytes"] is not None:
-        told += f", {memory['device_bytes'] / 2**20:.0f} MiB on the device"
-    return told
+        peak += f", {memory['device_bytes'] / 2**20:.0f} MiB on the device"
+    return peak
 
 
-def troubles(run: Document) -> list[tuple[str, list[str]]]:
+def troubles(run: RunDocument) -> list[tuple[str, list[str]]]:
     """What is wrong with a run, and what was missing, under titles."""
     speed = run["speed"]
-    told = [
+    sections = [
         ("Problems of the data set", run["problems"]),
         ("Missing", run["missing"]),
         (
@@ -181,10 +206,10 @@ def troubles(run: Document) -> list[tuple[str, list[str]]]:
             "Speed",
             speed_lines(speed)[:1] if speed and speed["verdict"]["outcome"] == "failed" else [],
         ),
-        ("Verdicts", [verdict_words(v) for v in run["verdicts"] if v["outcome"] != "passed"]),
+        ("Verdicts", [verdict_message(v) for v in run["verdicts"] if v["outcome"] != "passed"]),
         (
             "Samples that could not be judged",
             [f"{s['sample']}: {s['error']}" for s in run["samples"] if s["error"] is not None],
         ),
     ]
-    return [(title, lines) for title, lines in told if lines]
+    return [(title, lines) for title, lines in sections if lines]

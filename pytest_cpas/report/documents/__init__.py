@@ -1,0 +1,121 @@
+"""What a report holds, as types: ``report.json``, and each of its parts.
+
+``schema.json`` beside this package is made of them by ``tools/make_schema.py``: a class is an
+object, the first paragraph of its docstring describes it, and a field's type, its
+:class:`Allowed` and a text in its :data:`typing.Annotated` are what the schema says of the field.
+None is null. Lengths are in metres, angles in degrees, times in seconds.
+"""
+
+from typing import Annotated, Literal, NotRequired, TypedDict
+
+from pytest_cpas.report.documents._allowed import Allowed, Natural
+from pytest_cpas.report.documents.comparison import AgainstDocument, ChangeDocument, PairDocument
+from pytest_cpas.report.documents.counts import (
+    CountDocument,
+    CurveName,
+    CurvesDocument,
+    ItemOutcome,
+    PointDocument,
+    PrecisionDocument,
+    PublishedCountDocument,
+    PublishedCurvesDocument,
+    PublishedMethodDocument,
+    PublishedPrecisionDocument,
+    PublishedTimeDocument,
+)
+from pytest_cpas.report.documents.runs import (
+    CategoryDocument,
+    ContractDocument,
+    ContractStatus,
+    DirectionsDocument,
+    FindingDocument,
+    FlipDocument,
+    RunConditions,
+    RunDocument,
+    RunName,
+    SampleDocument,
+    UpAxesDocument,
+    VerdictDocument,
+)
+from pytest_cpas.report.documents.speed import (
+    Clock,
+    IntervalDocument,
+    MachineDocument,
+    MeasuredSpeedDocument,
+    MemoryDocument,
+    ReferenceDocument,
+    SpeedDocument,
+    SpeedVerdictDocument,
+    StageDocument,
+)
+
+__all__ = [
+    "AgainstDocument",
+    "Allowed",
+    "CategoryDocument",
+    "ChangeDocument",
+    "Clock",
+    "ContractDocument",
+    "ContractStatus",
+    "CountDocument",
+    "CurveName",
+    "CurvesDocument",
+    "DirectionsDocument",
+    "Document",
+    "FindingDocument",
+    "FlipDocument",
+    "IntervalDocument",
+    "ItemOutcome",
+    "MachineDocument",
+    "MeasuredSpeedDocument",
+    "MemoryDocument",
+    "PairDocument",
+    "PointDocument",
+    "PrecisionDocument",
+    "PublishedCountDocument",
+    "PublishedCurvesDocument",
+    "PublishedMethodDocument",
+    "PublishedPrecisionDocument",
+    "PublishedTimeDocument",
+    "ReferenceDocument",
+    "RunConditions",
+    "RunDocument",
+    "RunName",
+    "SampleDocument",
+    "SpeedDocument",
+    "SpeedVerdictDocument",
+    "StageDocument",
+    "UpAxesDocument",
+    "VerdictDocument",
+]
+
+
+class Document(TypedDict):
+    """What --cpas-report and pytest-cpas report write. Lengths in metres, angles in degrees; null
+    is n/a.
+
+    Made by :func:`pytest_cpas.report.document.document`.
+    """
+
+    format: Literal[1]
+    outcome: Annotated[
+        ItemOutcome,
+        "failed if any test item failed; skipped: a verdict could not be given, and was not"
+        " required.",
+    ]
+    failed_items: Annotated[Natural, "Test items of the session that failed, whatever they tested."]
+    thresholds: Annotated[
+        list[str],
+        Allowed(length=4),
+        "Labels of the joint thresholds; a sample's outcome has one character for each.",
+    ]
+    runs: list[RunDocument]
+    published: Annotated[
+        dict[str, dict[str, PublishedMethodDocument]],
+        "By data set and method: the tables of the paper; empty unless a run is on one of its data"
+        " sets.",
+    ]
+    against: Annotated[
+        NotRequired[AgainstDocument],
+        "Only with --cpas-against: the runs compared with those of another one.",
+    ]

@@ -1,0 +1,99 @@
+"""Counts of correct samples: measured, golden, and as the paper prints them."""
+
+from typing import Annotated, Literal, TypedDict
+
+from pytest_cpas.report.documents._allowed import AboveZero, Natural, NotNegative, Positive
+
+#: Of a test item, a verdict, a run or a session. skipped: a verdict could not be given, and was not
+#: required.
+ItemOutcome = Literal["failed", "skipped", "passed"]
+
+#: What the threshold of a curve is on.
+CurveName = Literal["position_m", "rotation_deg", "fscore_1cm"]
+
+
+class CountDocument(TypedDict):
+    """Samples that meet a joint threshold, of those that it can be asked of.
+
+    Made of :class:`pytest_cpas.metrics.precision.Count`.
+    """
+
+    correct: Natural
+    total: Positive
+
+
+class PublishedCountDocument(TypedDict):
+    """Between lowest and highest of total are correct, as far as the paper tells.
+
+    Made of :class:`pytest_cpas.golden.published.PublishedCell`; its print has four decimals.
+    """
+
+    lowest: Natural
+    highest: Natural
+    total: Positive
+
+
+class PrecisionDocument(TypedDict):
+    """A category (all: every one) at a joint threshold, by its label; null is n/a or not known."""
+
+    category: str
+    threshold: str
+    measured: CountDocument | None
+    golden: CountDocument | None
+    published: PublishedCountDocument | None
+
+
+class PublishedPrecisionDocument(TypedDict):
+    """A category (all: every one) at a joint threshold, by its label."""
+
+    category: str
+    threshold: str
+    published: PublishedCountDocument
+
+
+class PointDocument(TypedDict):
+    """Samples that meet one threshold alone: metres, degrees or an F-score."""
+
+    threshold: NotNegative
+    correct: Natural
+    total: Positive
+
+
+class CurvesDocument(TypedDict):
+    """Precision against one threshold at a time; null where the metric is n/a."""
+
+    position_m: list[PointDocument] | None
+    rotation_deg: list[PointDocument] | None
+    fscore_1cm: list[PointDocument] | None
+
+
+class PublishedCurvesDocument(TypedDict, total=False):
+    """Precision against one threshold at a time, as far as the paper prints it.
+
+    From ``golden/published/curves.csv``.
+    """
+
+    position_m: list[PointDocument]
+    rotation_deg: list[PointDocument]
+    fscore_1cm: list[PointDocument]
+
+
+class PublishedTimeDocument(TypedDict):
+    """The run time per prediction that the paper prints for a method.
+
+    From ``golden/published/run_time.csv``.
+    """
+
+    dataset: str
+    mean_seconds: AboveZero
+    machine: str
+
+
+class PublishedMethodDocument(TypedDict):
+    """What the paper prints for a method on a data set."""
+
+    precision: list[PublishedPrecisionDocument]
+    curves: PublishedCurvesDocument
+    run_time: Annotated[
+        PublishedTimeDocument | None, "Per prediction, on another data set and machine perhaps."
+    ]

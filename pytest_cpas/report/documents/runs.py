@@ -1,0 +1,180 @@
+"""One run: a method on a data set. Lengths in metres, angles in degrees; None is n/a."""
+
+from typing import Annotated, Literal, TypedDict
+
+from pytest_cpas.report.documents._allowed import Allowed, Natural, NotNegative, Positive, Share
+from pytest_cpas.report.documents.counts import CurvesDocument, ItemOutcome, PrecisionDocument
+from pytest_cpas.report.documents.speed import SpeedDocument
+
+#: A character for each joint threshold, in their order.
+_Outcomes = Annotated[str, Allowed(pattern="^[01-]{4}$")]
+
+_Direction = Annotated[
+    list[Annotated[float, Allowed(minimum=-1.001, maximum=1.001)]], Allowed(length=3)
+]
+
+
+class RunName(TypedDict):
+    """What a run is called by; every document of a run, or of two, has it."""
+
+    method: str
+    dataset: str
+
+
+class RunConditions(RunName):
+    """What decides whether a run can be compared with another one."""
+
+    identity: dict[str, str]
+
+
+class CategoryDocument(TypedDict):
+    """Samples of a category: with a row, and that there are."""
+
+    judged: Natural
+    listed: Natural
+
+
+class VerdictDocument(TypedDict):
+    """The verdict on a category, or on all of them, against the golden table or the paper.
+
+    Made of :class:`pytest_cpas.golden.comparison.Verdict`.
+    """
+
+    word: str
+    category: str
+    details: str
+    outcome: ItemOutcome
+
+
+class FindingDocument(TypedDict):
+    """A mistake that explains wrong answers, in a category or in all.
+
+    Made of :class:`pytest_cpas.diagnosis.Finding`.
+    """
+
+    category: str
+    name: str
+    lines: list[str]
+
+
+ContractStatus = Literal["passed", "violated", "known", "gone", "information", "n/a"]
+
+
+class ContractDocument(TypedDict):
+    """What a check of the contract of methods said.
+
+    Made of :class:`pytest_cpas.checks.contract.ContractResult`.
+    """
+
+    check: str
+    status: Annotated[
+        ContractStatus,
+        "known: a recorded violation; gone: a recorded violation that no longer happens;"
+        " information: violated, but not demanded.",
+    ]
+    message: str
+
+
+class FlipDocument(TypedDict):
+    """A sample that is judged otherwise than before, with the labels of the thresholds.
+
+    ``changed``: a metric is n/a that was not, or the other way round. ``before`` and ``after`` are
+    the errors, for people.
+    """
+
+    sample: str
+    category: str
+    lost: list[str]
+    gained: list[str]
+    changed: list[str]
+    before: str
+    after: str
+
+
+class SampleDocument(TypedDict):
+    """A sample with a row or an error."""
+
+    sample: str
+    category: str
+    outcome: Annotated[
+        _Outcomes | None,
+        "Per threshold: 1 correct, 0 not, - n/a; null: the sample could not be judged, error says"
+        " why.",
+    ]
+    golden: Annotated[_Outcomes | None, "The same as recorded; null without a golden table."]
+    position_m: NotNegative | None
+    # float32 turns a half turn into a little more
+    rotation_deg: Annotated[float | None, Allowed(minimum=0, maximum=180.001)]
+    iou: Annotated[float | None, Allowed(minimum=0, maximum=1.000001)]
+    fscore_1cm: Share | None
+    failure: Annotated[str | None, "Why the method gave no answer."]
+    error: str | None
+
+
+class DirectionsDocument(TypedDict):
+    """Unit vectors in the camera frame."""
+
+    count: Positive
+    resultant: Annotated[
+        float,
+        Allowed(minimum=0, maximum=1.000001),
+        "Mean resultant length: 1 where all agree.",
+    ]
+    coverage: Annotated[
+        NotNegative,
+        "Share of the sphere near a direction, over what as many uniform ones reach on average.",
+    ]
+    directions: Annotated[list[_Direction], "Some of them, evenly spaced."]
+
+
+class UpAxesDocument(TypedDict):
+    """Where the objects' up axes point; null where nothing is known.
+
+    Made by :func:`pytest_cpas.report.up_axes.up_axes`.
+    """
+
+    truth: DirectionsDocument | None
+    estimate: DirectionsDocument | None
+
+
+class RunDocument(TypedDict):
+    """A method on a data set.
+
+    Made by :func:`pytest_cpas.report.document.run_document`.
+    """
+
+    method: str
+    dataset: str
+    published_as: Annotated[str | None, "The data set of the paper that the samples are of."]
+    outcome: ItemOutcome
+    judged: Annotated[Natural, "Samples with a row."]
+    listed: Annotated[Natural, "Samples that there are, judged or not."]
+    unanswered: Annotated[Natural, "Judged samples for which the method gave no answer."]
+    categories: dict[str, CategoryDocument]
+    seeds: Positive
+    missing: Annotated[
+        list[str], "Parts of the data set that are not there, or that the method does not know."
+    ]
+    problems: Annotated[list[str], "What is wrong with the data set."]
+    verdicts: list[VerdictDocument]
+    findings: Annotated[list[FindingDocument], "Mistakes that explain wrong answers."]
+    contract: list[ContractDocument]
+    precision: list[PrecisionDocument]
+    curves: CurvesDocument
+    flips: Annotated[
+        list[FlipDocument],
+        "Samples judged otherwise than by the golden table, with the labels of the thresholds.",
+    ]
+    samples: list[SampleDocument]
+    speed: Annotated[
+        SpeedDocument | None,
+        "What --cpas-benchmark measured; null if it was not asked for. Only here does a report hold"
+        " times: two runs give the same report but for them.",
+    ]
+    identity: Annotated[dict[str, str], "What must agree for two runs to be comparable."]
+    provenance: Annotated[dict[str, str], "What else is known of the run."]
+    up_axes: Annotated[
+        UpAxesDocument | None,
+        "Where the objects' up axes point; null for perturbed data, and where nobody asked for a"
+        " report. truth is null where only rows are left.",
+    ]
