@@ -22,10 +22,15 @@ def toml_string(text: str) -> str:
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write a file as a whole or not at all; what UTF-8 does not have is written as an escape."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
+
+
+def write_bytes(path: Path, content: bytes) -> None:
     """Write a file as a whole or not at all."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        unfinished.write_bytes(text.encode("utf-8", "backslashreplace"))
+        unfinished.write_bytes(content)
         unfinished.replace(path)
     except BaseException:
         unfinished.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
 from pytest_cpas.datasets.redwood import Redwood75
-from pytest_cpas.report.dataset import draw_up_axes
+from pytest_cpas.report.sphere_picture import draw_up_axes
 
 
 def main(data: Path) -> None:

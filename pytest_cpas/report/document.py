@@ -210,8 +210,8 @@ def _curves(table: RunTable) -> CurvesDocument:
 
     def counts(name: CurveName) -> list[PointDocument] | None:
         limits = CURVES[name]
-        found = curve(errors, name.removesuffix("_1cm"), limits) if table.samples else None
-        return None if found is None else points(zip(limits, found, strict=True))
+        counted = curve(errors, name.removesuffix("_1cm"), limits) if table.samples else None
+        return None if counted is None else points(zip(limits, counted, strict=True))
 
     return {
         "position_m": counts("position_m"),

@@ -75,14 +75,14 @@ class Progress:
             parts.append(f"{rate:.2g}/s" if rate >= 1 else f"{1 / rate:.2g} s each")
             if self._total is not None and self._total > self._done:
                 parts.append(f"{_duration((self._total - self._done) / rate)} left")
-        told = ", ".join(parts)
+        text = ", ".join(parts)
         if self._run is not None and (judged := self._judged[self._run]):
             correct = self._correct[self._run]
-            told += (
+            text += (
                 f"; {self._run.method} on {self._run.dataset}: {correct}/{judged}"
                 f" ({100 * correct / judged:.1f} %) correct at {THRESHOLDS[0].label}"
             )
-        return told
+        return text
 
 
 def _duration(seconds: float) -> str:

@@ -24,7 +24,8 @@ from pytest_cpas.checks.dataset.verdicts import (
 )
 from pytest_cpas.evaluation import Selection
 from pytest_cpas.evaluation.results import ResultsError, Shard
-from pytest_cpas.report.dataset import draw_up_axes, print_survey
+from pytest_cpas.report.sphere_picture import draw_up_axes
+from pytest_cpas.report.terminal import print_survey
 from pytest_cpas.session.suite_session import Outcome, SuiteSession, report_outcome
 from pytest_cpas.types import ContractError, Dataset, SampleRef
 

@@ -34,9 +34,8 @@ from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.documents import RunConditions, RunDocument, SpeedDocument
 from pytest_cpas.report.files import write_report
 from pytest_cpas.report.progress import watch
-from pytest_cpas.report.robustness import print_curves
 from pytest_cpas.report.stored import StoredReportError, read_runs
-from pytest_cpas.report.terminal import print_run, shows_samples
+from pytest_cpas.report.terminal import print_robustness, print_run, shows_samples
 from pytest_cpas.report.up_axes import up_axes
 from pytest_cpas.session.contract_stage import ContractStage, Stage, StoredStage
 from pytest_cpas.session.suite_session import SuiteSession, report_outcome
@@ -255,7 +254,7 @@ class CpasSession(SuiteSession):
             if perturbation_of(run["dataset"]) and sound and self.config.get_verbosity() <= 0:
                 continue  # a point of the curves below
             print_run(terminalreporter, run)
-        print_curves(terminalreporter, documents)
+        print_robustness(terminalreporter, documents)
         if self._report:
             terminalreporter.write_line(f"report: {self._report}")
         if self.update:

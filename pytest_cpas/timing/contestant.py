@@ -284,13 +284,13 @@ def _serve(requests: IO[str], answers: IO[str]) -> None:
         try:
             if contestant is None:
                 contestant = _make(request)
-                answer: Any = None
+                value: Any = None
             else:
-                answer = getattr(contestant, request["call"])(*request["arguments"])
-            told = {"answer": answer}
+                value = getattr(contestant, request["call"])(*request["arguments"])
+            answer = {"answer": value}
         except Exception as error:
-            told = {"error": "".join(traceback.format_exception(error))}
-        answers.write(json.dumps(told) + "\n")
+            answer = {"error": "".join(traceback.format_exception(error))}
+        answers.write(json.dumps(answer) + "\n")
         answers.flush()
 
 

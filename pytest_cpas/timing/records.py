@@ -56,9 +56,9 @@ class SpeedRecord:
         provenance: Mapping[str, str],
     ) -> SpeedRecord:
         """Of samples' ratios, at least two for each."""
-        found = median_interval(relative_to_others(by_sample), RECORD_CONFIDENCE)
+        around = median_interval(relative_to_others(by_sample), RECORD_CONFIDENCE)
         spread = Interval(
-            1.0, found.lower / found.median, found.upper / found.median, found.confidence
+            1.0, around.lower / around.median, around.upper / around.median, around.confidence
         )
         medians = [statistics.median(ratios) for ratios in by_sample]
         return cls(identity, provenance, dict(zip(names, medians, strict=True)), spread)
@@ -138,11 +138,11 @@ def incomparable(record: SpeedRecord, identity: Mapping[str, str], names: Sequen
     recorded, now = (
         {key: given.get(key, "") for key in keys} for given in (record.identity, identity)
     )
-    told = differences(recorded, now)
+    reasons = differences(recorded, now)
     other = [name for name in names if name not in record.ratios]
     if other:
-        told.append(f"{len(other)} of {len(names)} samples are others, such as {other[0]}")
-    return "; ".join(told)
+        reasons.append(f"{len(other)} of {len(names)} samples are others, such as {other[0]}")
+    return "; ".join(reasons)
 
 
 def record_path(golden: Path, method: str, dataset: str, machine: MachineDocument) -> Path:

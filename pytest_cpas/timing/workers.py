@@ -120,10 +120,10 @@ class Worker:
                 f"the worker of {self.name} ended with exit status {self._process.wait()}:"
                 f" {self._last_words() or 'it printed nothing'}"
             )
-        told = json.loads(line)
-        if "error" in told:
-            raise TimingError(f"{self.name} in its worker:\n{told['error'].rstrip()}")
-        return told["answer"]
+        answer = json.loads(line)
+        if "error" in answer:
+            raise TimingError(f"{self.name} in its worker:\n{answer['error'].rstrip()}")
+        return answer["answer"]
 
     def _last_words(self) -> str:
         self._complaints.seek(0)

@@ -18,7 +18,8 @@ from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.evaluation.estimates import encode_estimate
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.page import page
-from pytest_cpas.report.up_axes import SHOWN, disc, up_axes
+from pytest_cpas.report.sphere import disc
+from pytest_cpas.report.up_axes import SHOWN, up_axes
 from pytest_cpas.types import ContractError, Hypothesis
 
 SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())

@@ -11,8 +11,8 @@ from pytest_cpas.report.messages import duration_message, method_title, run_titl
 from pytest_cpas.report.page._parts import table
 from pytest_cpas.report.scatter import PAIRS, dataset_pairs, methods
 from pytest_cpas.report.scatter import charts as scatter_charts
+from pytest_cpas.report.sphere import disc
 from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
-from pytest_cpas.report.up_axes import disc
 
 
 def precision(document: Document) -> Iterator[Element]:

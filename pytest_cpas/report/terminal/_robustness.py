@@ -1,4 +1,4 @@
-"""Precision against the severity of perturbations, in the terminal."""
+"""Precision against the severity of perturbations."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, UNPERTURBED, perturbation_of
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.documents import RunDocument
-from pytest_cpas.report.terminal import print_table
+from pytest_cpas.report.terminal._table import print_table
 
 
-def print_curves(terminal: pytest.TerminalReporter, runs: Sequence[RunDocument]) -> None:
+def print_robustness(terminal: pytest.TerminalReporter, runs: Sequence[RunDocument]) -> None:
     """One table per method and data set whose perturbations are among the runs."""
     curves: dict[tuple[str, str], dict[tuple[str, int], RunDocument]] = {}
     for run in runs:

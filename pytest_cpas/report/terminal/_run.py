@@ -1,4 +1,4 @@
-"""The tables and verdicts at the end of a run, in the terminal."""
+"""The tables and verdicts of a run."""
 
 from __future__ import annotations
 
@@ -22,14 +22,12 @@ from pytest_cpas.report.messages import (
     speed_lines,
     verdict_message,
 )
-
-#: A run of at most this many samples shows each of them.
-_FEW = 20
+from pytest_cpas.report.terminal._table import FEW, print_table
 
 
 def shows_samples(config: pytest.Config, judged: int) -> bool:
     """Whether each sample of a run is printed."""
-    return judged <= _FEW or config.get_verbosity() > 0
+    return judged <= FEW or config.get_verbosity() > 0
 
 
 def print_run(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
@@ -96,7 +94,7 @@ def _cell(count: CountDocument | None) -> str:
 def _sample_lines(samples: Sequence[SampleDocument]) -> list[list[str]]:
     lines = [["sample", "category", "position", "rotation", "IoU", "F 1 cm", ""]]
     for sample in samples:
-        if sample["outcome"] is None:  # told among the failures
+        if sample["outcome"] is None:  # it stands among the failures
             continue
         if sample["failure"] is None:
             errors = [
@@ -114,13 +112,3 @@ def _sample_lines(samples: Sequence[SampleDocument]) -> list[list[str]]:
 
 def _number(value: float | None, factor: float, decimals: int, unit: str = "") -> str:
     return "n/a" if value is None else f"{factor * value:.{decimals}f}{unit}"
-
-
-def print_table(terminal: pytest.TerminalReporter, lines: Sequence[Sequence[str]]) -> None:
-    """Print rows of cells, the first column to the left, the others to the right."""
-    widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
-    for line in lines:
-        first = line[0].ljust(widths[0])
-        rest = [cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True)]
-        terminal.write_line("  ".join([first, *rest]).rstrip())
-    terminal.write_line("")
