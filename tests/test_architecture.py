@@ -21,6 +21,7 @@ ARROWS: Mapping[str, set[str]] = {
     "similarity": set(),
     "stages": set(),
     "types": {"_deprecation"},
+    "documents": set(),
     "metrics": {"types"},
     "reading": {"types"},
     "adapting": _BOTTOM | {"metrics", "reading"},
@@ -32,9 +33,9 @@ ARROWS: Mapping[str, set[str]] = {
     "checks": {"golden", "evaluation", "datasets", "metrics", "registry", "types", "_files"},
     "metric_subjects": {"checks", "metrics", "types", "_open3d"},
     "fetching": {"datasets", "reading", "registry", "types", "_files"},
-    "timing": {"golden", "evaluation", "stages", "types", "_files"},
+    "timing": {"documents", "golden", "evaluation", "stages", "types", "_files"},
     "report": {
-        "timing",
+        "documents",
         "checks",
         "diagnosis",
         "golden",
@@ -46,6 +47,7 @@ ARROWS: Mapping[str, set[str]] = {
     },
     "session": {
         "report",
+        "documents",
         "timing",
         "checks",
         "diagnosis",

@@ -1,4 +1,4 @@
-"""Make ``pytest_cpas/report/schema.json`` from the types of ``pytest_cpas.report.documents``."""
+"""Make ``pytest_cpas/report/schema.json`` from the types of ``pytest_cpas.documents``."""
 
 import inspect
 import json
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 from typing import is_typeddict as is_object
 
-from pytest_cpas.report.documents import Allowed, Document
+from pytest_cpas.documents import Allowed, Document
 
 PATH = Path(__file__).parents[1] / "pytest_cpas" / "report" / "schema.json"
 

@@ -8,17 +8,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from pytest_cpas.evaluation import DEFINITIONS, THRESHOLDS
-from pytest_cpas.golden import TableSample, differences
-from pytest_cpas.golden.spread import fewer, more
-from pytest_cpas.report.document import flip_document
-from pytest_cpas.report.documents import (
+from pytest_cpas.documents import (
     AgainstDocument,
     ChangeDocument,
     PairDocument,
     RunConditions,
     RunDocument,
 )
+from pytest_cpas.evaluation import DEFINITIONS, THRESHOLDS
+from pytest_cpas.golden import TableSample, differences
+from pytest_cpas.golden.spread import fewer, more
+from pytest_cpas.report.document import flip_document
 from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.stored import StoredReportError
 

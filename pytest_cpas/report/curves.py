@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from pytest_cpas.report._axes import Axes
-from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.documents import (
+from pytest_cpas.documents import (
     CurveName,
     CurvesDocument,
     PublishedCurvesDocument,
     RunDocument,
 )
+from pytest_cpas.report._axes import Axes
+from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.messages import method_title
 from pytest_cpas.report.tables import Paper
 

@@ -1,6 +1,6 @@
 """What a session found, as one plain, versioned document: the only source of every renderer.
 
-A document is a dict of JSON values, as of :mod:`pytest_cpas.report.documents`. It holds no path,
+A document is a dict of JSON values, as of :mod:`pytest_cpas.documents`. It holds no path,
 and a time only below ``speed``, where --cpas-benchmark asked for it: the same rows give the same
 document, wherever and in how many parts they were judged.
 """
@@ -16,18 +16,7 @@ from typing import Final
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.diagnosis import Finding
-from pytest_cpas.evaluation import THRESHOLDS, Run, Table
-from pytest_cpas.golden import RunTable, TableSample, differences
-from pytest_cpas.golden.comparison import Verdict
-from pytest_cpas.golden.published import (
-    PublishedCell,
-    count_problems,
-    published_cells,
-    published_datasets,
-    published_name,
-)
-from pytest_cpas.metrics.precision import Count, curve
-from pytest_cpas.report.documents import (
+from pytest_cpas.documents import (
     CategoryDocument,
     ContractDocument,
     ContractStatus,
@@ -44,6 +33,17 @@ from pytest_cpas.report.documents import (
     SpeedDocument,
     VerdictDocument,
 )
+from pytest_cpas.evaluation import THRESHOLDS, Run, Table
+from pytest_cpas.golden import RunTable, TableSample, differences
+from pytest_cpas.golden.comparison import Verdict
+from pytest_cpas.golden.published import (
+    PublishedCell,
+    count_problems,
+    published_cells,
+    published_datasets,
+    published_name,
+)
+from pytest_cpas.metrics.precision import Count, curve
 from pytest_cpas.report.published import points, published_count, published_document
 
 FORMAT: Final = 1

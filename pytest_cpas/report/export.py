@@ -8,8 +8,8 @@ import itertools
 from collections.abc import Iterator, Sequence
 
 from pytest_cpas.datasets.perturbed import perturbation_of
+from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.documents import Document, RunDocument
 from pytest_cpas.report.messages import method_title
 from pytest_cpas.report.tables import Cell, Line, Paper, category_tables, groups, precision_table
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pytest_cpas._files import write_text
-from pytest_cpas.report.documents import Document
+from pytest_cpas.documents import Document
 from pytest_cpas.report.export import precision_csv, precision_tex
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page

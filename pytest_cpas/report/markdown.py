@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from pytest_cpas.report.documents import AgainstDocument, Document, FlipDocument, RunDocument
+from pytest_cpas.documents import AgainstDocument, Document, FlipDocument, RunDocument
 from pytest_cpas.report.messages import (
     change_messages,
     contract_message,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.document import SEVERITY
-from pytest_cpas.report.documents import (
+from pytest_cpas.documents import (
     ChangeDocument,
     ContractDocument,
     ContractStatus,
@@ -21,6 +19,8 @@ from pytest_cpas.report.documents import (
     StageDocument,
     VerdictDocument,
 )
+from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.report.document import SEVERITY
 
 _OUTCOMES: Mapping[ItemOutcome, str] = {
     "failed": "FAILED",

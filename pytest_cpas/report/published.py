@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from pytest_cpas.documents import (
+    CurveName,
+    PointDocument,
+    PublishedCountDocument,
+    PublishedCurvesDocument,
+    PublishedMethodDocument,
+    PublishedTimeDocument,
+)
 from pytest_cpas.golden.published import (
     PublishedCell,
     PublishedTime,
@@ -13,14 +21,6 @@ from pytest_cpas.golden.published import (
     published_time,
 )
 from pytest_cpas.metrics.precision import Count
-from pytest_cpas.report.documents import (
-    CurveName,
-    PointDocument,
-    PublishedCountDocument,
-    PublishedCurvesDocument,
-    PublishedMethodDocument,
-    PublishedTimeDocument,
-)
 
 _CURVES: tuple[CurveName, ...] = ("position_m", "rotation_deg", "fscore_1cm")
 

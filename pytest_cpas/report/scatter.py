@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from pytest_cpas.datasets.perturbed import perturbation_of
+from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.documents import Document, RunDocument
 from pytest_cpas.report.messages import duration_message, method_title
 from pytest_cpas.report.tables import Cell, measured_cells, published_cells
 

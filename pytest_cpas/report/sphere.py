@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from pytest_cpas.checks.dataset.orientations import REACH, lambert
+from pytest_cpas.documents import DirectionsDocument
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.documents import DirectionsDocument
 
 #: Angles to the image's up at which a ring is drawn, degrees; the stronger ones are the horizon and
 #: the rim.

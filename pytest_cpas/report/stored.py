@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
+from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import THRESHOLDS, Row, SampleError
 from pytest_cpas.evaluation.results import MergedRun, merge
 from pytest_cpas.golden import RunTable
 from pytest_cpas.report.document import FORMAT, run_document
-from pytest_cpas.report.documents import Document, RunDocument
 
 
 class StoredReportError(Exception):

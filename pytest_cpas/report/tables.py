@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias, TypeVar
 
-from pytest_cpas.report.documents import (
+from pytest_cpas.documents import (
     ChangeDocument,
     CountDocument,
     Document,

@@ -9,9 +9,9 @@ import numpy as np
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
 from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.diagnosis.running import MOST_TRUTHS
+from pytest_cpas.documents import DirectionsDocument, UpAxesDocument
 from pytest_cpas.evaluation import Row, Run
 from pytest_cpas.evaluation.estimates import decode_estimates
-from pytest_cpas.report.documents import DirectionsDocument, UpAxesDocument
 from pytest_cpas.types import Array, ContractError
 from pytest_cpas.types.samples import evenly
 

@@ -22,6 +22,7 @@ from pytest_cpas.checks.contract import CONTRACT, ContractResult
 from pytest_cpas.datasets.perturbed import perturbation_of, perturbed
 from pytest_cpas.diagnosis import Finding
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
+from pytest_cpas.documents import RunConditions, RunDocument, SpeedDocument
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection
 from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.evaluation.results import MergedRun, ResultsError, ResultsFile, Shard, merge
@@ -31,7 +32,6 @@ from pytest_cpas.golden.published import compare_published, published_cells
 from pytest_cpas.golden.snapshot import golden_folder
 from pytest_cpas.report.against import against, pairs
 from pytest_cpas.report.document import document, run_document
-from pytest_cpas.report.documents import RunConditions, RunDocument, SpeedDocument
 from pytest_cpas.report.files import write_report
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError, read_runs

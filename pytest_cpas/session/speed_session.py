@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from pytest_cpas import registry
+from pytest_cpas.documents import ItemOutcome, MeasuredSpeedDocument, SpeedDocument
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.report.documents import ItemOutcome, SpeedDocument, SpeedVerdictDocument
 from pytest_cpas.session.method_session import CpasSession, cpas_session, make_method
 from pytest_cpas.session.suite_session import SuiteSession
 from pytest_cpas.timing.running import Plan, Rival, SpeedRun
@@ -61,13 +61,16 @@ class SpeedSession(SuiteSession):
         """As what the item ends."""
         return verdict.outcome(self.config.option.cpas_require_golden)
 
-    def verdict_document(self, verdict: Verdict) -> SpeedVerdictDocument:
-        """The verdict in the document."""
+    def speed_document(self, measured: MeasuredSpeedDocument, verdict: Verdict) -> SpeedDocument:
+        """What was measured, with the verdict on it."""
         return {
-            "word": verdict.word.value,
-            "details": verdict.details,
-            "outcome": self.outcome(verdict),
-            "limit": verdict.limit,
+            **measured,
+            "verdict": {
+                "word": verdict.word.value,
+                "details": verdict.details,
+                "outcome": self.outcome(verdict),
+                "limit": verdict.limit,
+            },
         }
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from pytest_cpas.evaluation import MethodError
-from pytest_cpas.report.documents import SpeedDocument
 from pytest_cpas.session.speed_session import MEASURED, speed_session
 from pytest_cpas.timing.records import RecordError
 from pytest_cpas.timing.running import SpeedRun
@@ -45,7 +44,7 @@ def test_speed(speed_run: SpeedRun, benchmark: Any, request: pytest.FixtureReque
         problem = str(error)
     if problem:
         pytest.fail(problem, pytrace=False)
-    document: SpeedDocument = {**measured, "verdict": session.verdict_document(verdict)}
+    document = session.speed_document(measured, verdict)
     request.node.stash[MEASURED] = benchmark.extra_info["cpas"] = document
     if session.outcome(verdict) == "failed":
         pytest.fail(str(verdict), pytrace=False)

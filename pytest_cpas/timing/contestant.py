@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Literal, TypedDict
 
 if TYPE_CHECKING:
-    from pytest_cpas.report.documents import Clock, MemoryDocument
+    from pytest_cpas.documents import Clock, MemoryDocument
 
 #: What peak memory is of.
 PREDICTIONS: Final = "predictions"

@@ -8,7 +8,7 @@ import platform
 
 from cpuinfo import get_cpu_info
 
-from pytest_cpas.report.documents import MachineDocument
+from pytest_cpas.documents import MachineDocument
 from pytest_cpas.timing.contestant import ProcessFacts
 
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas._files import toml_string, write_text
+from pytest_cpas.documents import MachineDocument
 from pytest_cpas.golden import differences
-from pytest_cpas.report.documents import MachineDocument
 from pytest_cpas.timing.intervals import (
     RECORD_CONFIDENCE,
     RECORD_LOOK_CONFIDENCE,

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.golden.published import PublishedTime, published_time
-from pytest_cpas.report.documents import (
+from pytest_cpas.documents import (
     IntervalDocument,
     MeasuredSpeedDocument,
     PublishedTimeDocument,
     ReferenceDocument,
     StageDocument,
 )
+from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.golden.published import PublishedTime, published_time
 from pytest_cpas.timing.calibration import Calibration, kernel_for
 from pytest_cpas.timing.comparison import Comparison, WithRecord, WithRival
 from pytest_cpas.timing.contestant import Contestant, Examined, write_observations

@@ -11,9 +11,9 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
+from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.report._html import Child, Element, element, page_text
 from pytest_cpas.report.document import SEVERITY
-from pytest_cpas.report.documents import Document, RunDocument
 from pytest_cpas.report.messages import judged_message, outcome_message, run_title, verdicts_message
 from pytest_cpas.report.page._comparison import comparison
 from pytest_cpas.report.page._methods import overview, precision, run_times, up_axes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pytest_cpas.documents import ChangeDocument, Document
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.documents import ChangeDocument, Document
 from pytest_cpas.report.messages import change_messages, pair_lines, pair_title, worst_flips_first
 from pytest_cpas.report.page._parts import flip_table, sample_link, table
 from pytest_cpas.report.tables import category_lines

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from pytest_cpas.documents import Document, PublishedTimeDocument
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.curves import charts, curve_lines
-from pytest_cpas.report.documents import Document, PublishedTimeDocument
 from pytest_cpas.report.messages import duration_message, method_title, run_title, speed_lines
 from pytest_cpas.report.page._parts import table
 from pytest_cpas.report.scatter import PAIRS, dataset_pairs, methods

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from urllib.parse import urlencode
 
+from pytest_cpas.documents import FlipDocument, ItemOutcome, RunName
 from pytest_cpas.report._html import Child, Element, element
-from pytest_cpas.report.documents import FlipDocument, ItemOutcome, RunName
 from pytest_cpas.report.messages import flip_message, outcome_message, run_title
 
 #: Flips that the page lists with their errors; the list of samples has all.

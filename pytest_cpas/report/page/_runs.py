@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Mapping, Sequence
 
+from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.report._html import Child, Element, element
-from pytest_cpas.report.documents import Document, RunDocument
 from pytest_cpas.report.messages import contract_message, flip_message, run_title, troubles
 from pytest_cpas.report.page._parts import badge, flip_table, table
 from pytest_cpas.report.tables import Cell, category_lines, other_cells

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
+from pytest_cpas.documents import Document, FlipDocument
 from pytest_cpas.report._html import Element, element
-from pytest_cpas.report.documents import Document, FlipDocument
 from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.page._parts import table
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import pytest
 
 from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, UNPERTURBED, perturbation_of
+from pytest_cpas.documents import RunDocument
 from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.documents import RunDocument
 from pytest_cpas.report.terminal._table import print_table
 
 

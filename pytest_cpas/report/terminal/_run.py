@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.report.documents import (
+from pytest_cpas.documents import (
     ContractDocument,
     CountDocument,
     PrecisionDocument,
@@ -16,6 +15,7 @@ from pytest_cpas.report.documents import (
     SpeedDocument,
     VerdictDocument,
 )
+from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.messages import (
     contract_message,
     judged_message,

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, TypedDict
 
-from pytest_cpas.report.documents._allowed import (
+from pytest_cpas.documents._allowed import (
     AboveZero,
     Allowed,
     Natural,
@@ -10,7 +10,7 @@ from pytest_cpas.report.documents._allowed import (
     Positive,
     Share,
 )
-from pytest_cpas.report.documents.counts import ItemOutcome, PublishedTimeDocument
+from pytest_cpas.documents.counts import ItemOutcome, PublishedTimeDocument
 
 
 class IntervalDocument(TypedDict):

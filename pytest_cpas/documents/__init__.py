@@ -1,16 +1,16 @@
 """What a report holds, as types: ``report.json``, and each of its parts.
 
-``schema.json`` beside this package is made of them by ``tools/make_schema.py``: a class is an
-object, the first paragraph of its docstring describes it, and a field's type, its
-:class:`Allowed` and a text in its :data:`typing.Annotated` are what the schema says of the field.
+``report/schema.json`` is made of them by ``tools/make_schema.py``: a class is an object, the first
+paragraph of its docstring describes it, and a field's type, and :class:`Allowed` and a text in its
+:data:`typing.Annotated`, are what the schema says of the field.
 None is null. Lengths are in metres, angles in degrees, times in seconds.
 """
 
 from typing import Annotated, Literal, NotRequired, TypedDict
 
-from pytest_cpas.report.documents._allowed import Allowed, Natural
-from pytest_cpas.report.documents.comparison import AgainstDocument, ChangeDocument, PairDocument
-from pytest_cpas.report.documents.counts import (
+from pytest_cpas.documents._allowed import Allowed, Natural
+from pytest_cpas.documents.comparison import AgainstDocument, ChangeDocument, PairDocument
+from pytest_cpas.documents.counts import (
     CountDocument,
     CurveName,
     CurvesDocument,
@@ -23,7 +23,7 @@ from pytest_cpas.report.documents.counts import (
     PublishedPrecisionDocument,
     PublishedTimeDocument,
 )
-from pytest_cpas.report.documents.runs import (
+from pytest_cpas.documents.runs import (
     CategoryDocument,
     ContractDocument,
     ContractStatus,
@@ -37,7 +37,7 @@ from pytest_cpas.report.documents.runs import (
     UpAxesDocument,
     VerdictDocument,
 )
-from pytest_cpas.report.documents.speed import (
+from pytest_cpas.documents.speed import (
     Clock,
     IntervalDocument,
     MachineDocument,

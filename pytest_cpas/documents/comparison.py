@@ -2,9 +2,9 @@
 
 from typing import Annotated, TypedDict
 
-from pytest_cpas.report.documents._allowed import Natural, Share
-from pytest_cpas.report.documents.counts import CountDocument
-from pytest_cpas.report.documents.runs import FlipDocument
+from pytest_cpas.documents._allowed import Natural, Share
+from pytest_cpas.documents.counts import CountDocument
+from pytest_cpas.documents.runs import FlipDocument
 
 
 class ChangeDocument(TypedDict):

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, TypedDict
 
-from pytest_cpas.report.documents._allowed import AboveZero, Natural, NotNegative, Positive
+from pytest_cpas.documents._allowed import AboveZero, Natural, NotNegative, Positive
 
 #: Of a test item, a verdict, a run or a session. skipped: a verdict could not be given, and was not
 #: required.

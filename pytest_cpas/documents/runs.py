@@ -2,9 +2,9 @@
 
 from typing import Annotated, Literal, TypedDict
 
-from pytest_cpas.report.documents._allowed import Allowed, Natural, NotNegative, Positive, Share
-from pytest_cpas.report.documents.counts import CurvesDocument, ItemOutcome, PrecisionDocument
-from pytest_cpas.report.documents.speed import SpeedDocument
+from pytest_cpas.documents._allowed import Allowed, Natural, NotNegative, Positive, Share
+from pytest_cpas.documents.counts import CurvesDocument, ItemOutcome, PrecisionDocument
+from pytest_cpas.documents.speed import SpeedDocument
 
 #: A character for each joint threshold, in their order.
 _Outcomes = Annotated[str, Allowed(pattern="^[01-]{4}$")]
