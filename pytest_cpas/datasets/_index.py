@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 from pytest_cpas._files import cache_folder
 from pytest_cpas.reading.images import image_size
 from pytest_cpas.reading.paths import names, parse_json, regular
-from pytest_cpas.types import ContractError, SampleRef
+from pytest_cpas.types import ContractError, DataError, SampleRef
 
 #: The packages whose code decides what is listed of every tree.
 _ROOMS = ("datasets", "reading")
@@ -84,7 +84,7 @@ class Scan:
         try:
             content = regular(self.root / path).read_bytes()
         except OSError as error:
-            raise ContractError(f"{self.root / path}: cannot be read ({error})") from error
+            raise DataError(f"{self.root / path}: cannot be read ({error})") from error
         self._digest.update(content)
         return content
 

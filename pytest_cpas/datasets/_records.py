@@ -23,6 +23,7 @@ from pytest_cpas.types import (
     Array,
     Camera,
     ContractError,
+    DataError,
     GroundTruth,
     Mesh,
     Observation,
@@ -30,6 +31,7 @@ from pytest_cpas.types import (
     Sample,
     SampleRef,
     Symmetry,
+    raised_as,
 )
 
 #: Most meshes kept at a time: the largest data sets have more than fit into memory.
@@ -69,8 +71,9 @@ class RecordTree(Tree):
         super().__init__(name, root)
         self._mesh = functools.lru_cache(maxsize=_MESHES)(self._read_mesh)
 
+    @raised_as(DataError)
     def load(self, ref: SampleRef) -> Sample:
-        """Read one sample; :class:`ContractError` names the file that is damaged."""
+        """Read one sample; :class:`DataError` names the file that is damaged."""
         record, truth = Record(*self._details[ref.id]), self.truth(ref)
         width, height, *intrinsics = record.camera
         camera = Camera(int(width), int(height), *intrinsics)
@@ -84,6 +87,7 @@ class RecordTree(Tree):
         )
         return Sample(ref, observation, truth)
 
+    @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about a sample, without its images."""
         record = Record(*self._details[ref.id])
@@ -93,7 +97,7 @@ class RecordTree(Tree):
         elif isinstance(mesh, Mesh):
             extents = mesh.bounds[1] - mesh.bounds[0]
         else:
-            raise ContractError(f"{ref.id}: neither extents nor a mesh")
+            raise DataError(f"{ref.id}: neither extents nor a mesh")
         rotation = numbers(record.rotation, (3, 3), f"{ref.id}: rotation")
         translation = numbers(record.translation, (3,), f"{ref.id}: translation")
         try:
@@ -102,7 +106,7 @@ class RecordTree(Tree):
                 pose=pose, extents=extents, symmetry=self._symmetry(ref, record), surface=mesh
             )
         except ContractError as error:
-            raise ContractError(f"{ref.id}: {error}") from None
+            raise DataError(f"{ref.id}: {error}") from None
 
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
         return symmetry_of(ref.category)
@@ -118,9 +122,9 @@ class RecordTree(Tree):
             mask = _visible(truth.surface, truth.pose, depth, camera)
             where = record.depth
         else:
-            raise ContractError(f"{record.rgb}: neither a mask nor a mesh to render one from")
+            raise DataError(f"{record.rgb}: neither a mask nor a mesh to render one from")
         if not mask.any():
-            raise ContractError(f"{self.root / where}: nothing is seen of the object")
+            raise DataError(f"{self.root / where}: nothing is seen of the object")
         return mask
 
     def _read_mesh(self, name: str) -> Mesh | Array:

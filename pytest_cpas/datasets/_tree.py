@@ -46,11 +46,11 @@ class Tree(ABC):
 
     @abstractmethod
     def truth(self, ref: SampleRef) -> GroundTruth:
-        """The truth about a sample; :class:`ContractError` names what is damaged."""
+        """The truth about a sample; :class:`DataError` names what is damaged."""
 
     @abstractmethod
     def load(self, ref: SampleRef) -> Sample:
-        """Read one sample; :class:`ContractError` names the file that is damaged."""
+        """Read one sample; :class:`DataError` names the file that is damaged."""
 
 
 def find_root(name: str, data_dir: Path | None, mark: str, *folders: str) -> Path:

@@ -34,7 +34,16 @@ from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural, parse_json, regular
-from pytest_cpas.types import Array, Camera, ContractError, Mesh, Pose, SampleRef, Symmetry
+from pytest_cpas.types import (
+    Array,
+    Camera,
+    ContractError,
+    DataError,
+    Mesh,
+    Pose,
+    SampleRef,
+    Symmetry,
+)
 
 #: Objects of which a smaller part is visible are not judged (BOP Challenge 2019).
 _LEAST_VISIBLE = 0.1
@@ -61,7 +70,7 @@ class Bop(RecordTree):
     def __init__(self, data_dir: Path | None) -> None:
         """Find the split: ``data_dir`` itself, or the one test split in it.
 
-        Raises :class:`FileNotFoundError` that says what is expected, :class:`ContractError` if the
+        Raises :class:`FileNotFoundError` that says what is expected, :class:`DataError` if the
         models' description cannot be read.
         """
         root, self.split = find_split(data_dir)
@@ -95,7 +104,7 @@ class Bop(RecordTree):
             listed = parse_json(self.root / file, scan.read(file), list)
             return {(t["scene_id"], t["im_id"], t["obj_id"]) for t in listed}
         except (TypeError, KeyError) as error:
-            raise ContractError(
+            raise DataError(
                 f"{self.root / file}: expected a list of scene_id, im_id and obj_id ({error!r})"
             ) from error
 
@@ -132,13 +141,13 @@ class Bop(RecordTree):
     def _object(self, truth: Any) -> int:
         number = truth.get("obj_id") if isinstance(truth, dict) else None
         if number not in self._models:
-            raise ContractError(f"obj_id {number!r} is not in {self._models_info}")
+            raise DataError(f"obj_id {number!r} is not in {self._models_info}")
         return int(number)
 
     def _image(self, scan: Scan, folder: str, key: str, camera: Any) -> tuple[str, str] | None:
         number = whole(key)
         if number is None or not isinstance(camera, dict):
-            raise ContractError("not an image number with an entry in scene_camera.json")
+            raise DataError("not an image number with an entry in scene_camera.json")
         stem = f"{number:06d}"
         rgb = [p for p in (f"{folder}/rgb/{stem}.{e}" for e in ("png", "jpg")) if scan.has(p)]
         depth = f"{folder}/depth/{stem}.png"
@@ -200,7 +209,7 @@ def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:
         try:
             number = whole(key)
             if number is None or not isinstance(info, dict):
-                raise ContractError("expected a number, and min_x, size_x, ...")
+                raise DataError("expected a number, and min_x, size_x, ...")
             models[number] = _model(info)
         except ContractError as error:
             damaged.append(f"{path}: object {key}: {error}")
@@ -212,7 +221,7 @@ def _model(info: dict[str, Any]) -> Model:
     low = numbers([info.get(f"min_{axis}") for axis in "xyz"], (3,), "min_x, min_y, min_z") / 1000
     size = numbers([info.get(f"size_{axis}") for axis in "xyz"], (3,), "size_x, size_y, size_z")
     if (size <= 0).any():
-        raise ContractError(f"size is {size.tolist()}, expected positive millimetres")
+        raise DataError(f"size is {size.tolist()}, expected positive millimetres")
     discrete = _list(info.get("symmetries_discrete") or [])
     rotations = [np.eye(3)]
     rotations += [numbers(s, (4, 4), "symmetries_discrete")[:3, :3] for s in discrete]
@@ -243,13 +252,13 @@ def _frame(rgb: str, depth: str, entry: dict[str, Any], size: tuple[int, int]) -
     Camera(*size, *camera)
     scale = float(numbers(entry.get("depth_scale", 1), (1,), "depth_scale")[0])
     if scale <= 0:
-        raise ContractError(f"depth_scale {scale:g}, expected millimetres of one step")
+        raise DataError(f"depth_scale {scale:g}, expected millimetres of one step")
     return Record(rgb, depth, [*size, *camera], [], [], depth_per_metre=1000 / scale)
 
 
 def _list(value: Any) -> list[Any]:
     if not isinstance(value, list):
-        raise ContractError(f"a {type(value).__name__}, expected a list")
+        raise DataError(f"a {type(value).__name__}, expected a list")
     return value
 
 

@@ -19,7 +19,7 @@ from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers, quaternion_rotation, whole
 from pytest_cpas.reading.paths import below
-from pytest_cpas.types import Camera, ContractError, Mesh, SampleRef, Symmetry
+from pytest_cpas.types import Camera, ContractError, DataError, Mesh, SampleRef, Symmetry
 
 _TABLE = "samples.csv"
 
@@ -42,7 +42,7 @@ class Folder(RecordTree):
     def __init__(self, data_dir: Path | None) -> None:
         """Read the table in ``data_dir``.
 
-        Raises :class:`FileNotFoundError` if there is none, :class:`ContractError` if it is not
+        Raises :class:`FileNotFoundError` if there is none, :class:`DataError` if it is not
         such a table; a line that is wrong is in ``damaged``, and the others are listed.
         """
         if data_dir is None or not (data_dir / _TABLE).is_file():
@@ -62,11 +62,11 @@ class Folder(RecordTree):
             columns = lines.fieldnames or ()
             table = [(lines.line_num, line) for line in lines]
         except (UnicodeDecodeError, csv.Error) as error:
-            raise ContractError(f"{path}: not a table in UTF-8 with commas ({error})") from error
+            raise DataError(f"{path}: not a table in UTF-8 with commas ({error})") from error
         absent = [column for column in _REQUIRED if column not in columns]
         unknown = [column for column in columns if column not in _REQUIRED + _OPTIONAL]
         if absent or unknown:
-            raise ContractError(
+            raise DataError(
                 f"{path}: columns lacking: {', '.join(absent) or 'none'}; unknown:"
                 f" {', '.join(unknown) or 'none'}. Expected {', '.join(_REQUIRED)} and, where"
                 f" wanted, {', '.join(_OPTIONAL)}, separated by commas"
@@ -85,7 +85,7 @@ class Folder(RecordTree):
 
     def _list(self, scan: Scan, line: dict[str, str | None], where: str, ids: set[str]) -> None:
         if None in line or None in line.values():
-            raise ContractError(f"{where}: it has not as many values as there are columns")
+            raise DataError(f"{where}: it has not as many values as there are columns")
         text = {column: (value or "").strip() for column, value in line.items()}
         ref = SampleRef(
             id=text["id"],
@@ -94,7 +94,7 @@ class Folder(RecordTree):
             model=text.get("model", ""),
         )
         if not ref.id or not ref.category or ref.id in ids:
-            raise ContractError(f"{where}: id {ref.id!r} is empty or occurs twice, or no category")
+            raise DataError(f"{where}: id {ref.id!r} is empty or occurs twice, or no category")
         ids.add(ref.id)
         record = self._record(text, where)
         for kind in ("rgb", "depth", "mask", "mesh"):
@@ -113,21 +113,21 @@ class Folder(RecordTree):
 
         camera = values(_CAMERA)
         if camera[0] != int(camera[0]) or camera[1] != int(camera[1]):
-            raise ContractError(f"{where}: the image size is {camera[0]:g} x {camera[1]:g}")
+            raise DataError(f"{where}: the image size is {camera[0]:g} x {camera[1]:g}")
         Camera(int(camera[0]), int(camera[1]), *camera[2:])
         unit = values(("depth_unit",))[0] if text.get("depth_unit") else 0.001
         if unit <= 0:
-            raise ContractError(f"{where}: depth_unit {unit:g}, expected the metres of one step")
+            raise DataError(f"{where}: depth_unit {unit:g}, expected the metres of one step")
         extents = values(_EXTENTS) if any(text.get(column) for column in _EXTENTS) else None
         mesh, mask = text.get("mesh") or None, text.get("mask") or None
         if extents is None and mesh is None:
-            raise ContractError(f"{where}: neither extents nor a mesh")
+            raise DataError(f"{where}: neither extents nor a mesh")
         if mask is None and mesh is None:
-            raise ContractError(f"{where}: neither a mask nor a mesh to render one from")
+            raise DataError(f"{where}: neither a mask nor a mesh to render one from")
         mask_id = text.get("mask_id") or None
         number = whole(mask_id)
         if mask_id is not None and (number is None or number > 255):
-            raise ContractError(f"{where}: mask_id {mask_id!r}, expected 0 to 255")
+            raise DataError(f"{where}: mask_id {mask_id!r}, expected 0 to 255")
         symmetry = text.get("symmetry") or None
         if symmetry is not None:
             parse_symmetry(symmetry)
@@ -157,7 +157,7 @@ class Folder(RecordTree):
         low, high = mesh.bounds
         offset, diagonal = np.linalg.norm(low + high) / 2, np.linalg.norm(high - low)
         if offset > 0.01 * diagonal:
-            raise ContractError(
+            raise DataError(
                 f"{self.root / name}: the box's centre is at {(low + high) / 2}, {offset:.3g} m"
                 " off the origin; expected a mesh centred on its box, and poses of that centre"
             )
@@ -173,6 +173,6 @@ def parse_symmetry(text: str) -> Symmetry:
     match = _SYMMETRY.fullmatch(text)
     fold = whole(match[2]) if match else None
     if not match or (match[2] and not (fold and fold <= _MOST_FOLD)):
-        raise ContractError(f"symmetry {text!r}, expected none, y, y/4, box or sphere")
+        raise DataError(f"symmetry {text!r}, expected none, y, y/4, box or sphere")
     axis = np.eye(3)["xyz".index(match[1])]
     return Symmetry.about(axis) if fold is None else Symmetry.n_fold(axis, fold)

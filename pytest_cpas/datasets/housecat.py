@@ -32,7 +32,7 @@ from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
-from pytest_cpas.types import ContractError, SampleRef, Symmetry
+from pytest_cpas.types import ContractError, DataError, SampleRef, Symmetry
 
 CATEGORIES = (
     "box",
@@ -107,7 +107,7 @@ class HouseCat6D(RecordTree):
             words = line.split()
             instance = whole(words[0]) if len(words) == 3 and "/" not in words[2] else None
             if instance is None or words[2].split("-")[0] not in CATEGORIES:
-                raise ContractError(
+                raise DataError(
                     f"{self.root / scene / 'meta.txt'}: line {line!r}, expected"
                     " 'instance_id class_id CATEGORY-NAME'"
                 )
@@ -123,7 +123,7 @@ class HouseCat6D(RecordTree):
         keys = ("class_ids", "instance_ids", "rotations", "translations", "gt_scales")
         absent = [key for key in keys if key not in label]
         if absent:
-            raise ContractError(f"{path}: it lacks {', '.join(absent)}")
+            raise DataError(f"{path}: it lacks {', '.join(absent)}")
         instances = numbers(label["instance_ids"], (len(label["class_ids"]),), f"{path}: ids")
         count = len(instances)
         classes = numbers(label["class_ids"], (count,), f"{path}: class_ids")
@@ -134,7 +134,7 @@ class HouseCat6D(RecordTree):
         for i in range(count):
             instance, class_id = int(instances[i]), int(classes[i])
             if not 1 <= class_id <= len(CATEGORIES) or instance not in names:
-                raise ContractError(
+                raise DataError(
                     f"{path}: instance {instance} of class {class_id}, expected one of meta.txt"
                     f" and a class of 1 to {len(CATEGORIES)}"
                 )

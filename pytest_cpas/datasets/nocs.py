@@ -38,6 +38,7 @@ from pytest_cpas.types import (
     Array,
     Camera,
     ContractError,
+    DataError,
     GroundTruth,
     Mesh,
     Observation,
@@ -45,6 +46,7 @@ from pytest_cpas.types import (
     Sample,
     SampleRef,
     Symmetry,
+    raised_as,
 )
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
 
@@ -143,7 +145,7 @@ class NocsTree(Tree):
         for line in text.splitlines():
             match = form.fullmatch(" ".join(line.split()))
             if not match or int(match[2]) > len(CATEGORIES) or int(match[1]) > 254:
-                raise ContractError(
+                raise DataError(
                     f"{frame}_meta.txt: line {line!r}, expected {self.meta!r} with a"
                     f" mask id of 0 to 254 and a class id of 0 to {len(CATEGORIES)}"
                 )
@@ -151,7 +153,7 @@ class NocsTree(Tree):
                 model = "/".join(match.groups()[2:])
                 entries.append((int(match[1]), CATEGORIES[int(match[2]) - 1], model))
         if len({mask_id for mask_id, _, _ in entries}) < len(entries):
-            raise ContractError(f"{frame}_meta.txt: a mask id occurs twice")
+            raise DataError(f"{frame}_meta.txt: a mask id occurs twice")
         return [Listed(*entry, index) for index, entry in enumerate(sorted(entries))]
 
     def _seen(
@@ -185,8 +187,9 @@ class NocsTree(Tree):
 
     # -- samples ----------------------------------------------------------------------------
 
+    @raised_as(DataError)
     def load(self, ref: SampleRef) -> Sample:
-        """Read one sample; :class:`ContractError` names the file that is damaged."""
+        """Read one sample; :class:`DataError` names the file that is damaged."""
         truth = self.truth(ref)
         frame = ref.id.rsplit("/", 1)[0]
         mask = self._ids(frame) == Listed(*self._details[ref.id]).mask_id
@@ -196,6 +199,7 @@ class NocsTree(Tree):
         )
         return Sample(ref, observation, truth)
 
+    @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about a sample, without its images."""
         item = Listed(*self._details[ref.id])
@@ -203,13 +207,11 @@ class NocsTree(Tree):
         path = self.root / _truth_path(frame)
         matrices = self._poses(path)
         if item.pose_index >= len(matrices):
-            raise ContractError(
-                f"{path}: {len(matrices)} poses, but the meta file lists more objects"
-            )
+            raise DataError(f"{path}: {len(matrices)} poses, but the meta file lists more objects")
         scaled = matrices[item.pose_index]
         determinant = float(np.linalg.det(scaled[:3, :3]))
         if not determinant > 0:
-            raise ContractError(
+            raise DataError(
                 f"{path}: pose {item.pose_index} has determinant {determinant:g}, expected the"
                 " cube of a positive scale"
             )
@@ -234,7 +236,7 @@ class NocsTree(Tree):
             or poses.dtype.kind != "f"
             or not np.isfinite(poses).all()
         ):
-            raise ContractError(f"{path}: gt_RTs is not an array (n, 4, 4) of finite numbers")
+            raise DataError(f"{path}: gt_RTs is not an array (n, 4, 4) of finite numbers")
         return poses.astype(np.float64)
 
     def _read_mesh(self, model: str) -> tuple[Mesh | None, Array]:
@@ -249,7 +251,7 @@ class NocsTree(Tree):
         try:
             text = regular(path).read_text().split()
         except UnicodeDecodeError as error:
-            raise ContractError(f"{path}: expected three extents in metres ({error})") from error
+            raise DataError(f"{path}: expected three extents in metres ({error})") from error
         extents = numbers(text, (3,), f"{path}: extents in metres")
         return None, permute_extents(extents, NOCS_FROM_SHAPENET.T)
 

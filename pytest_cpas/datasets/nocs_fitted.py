@@ -38,10 +38,12 @@ from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama
 from pytest_cpas.types import (
     Camera,
     ContractError,
+    DataError,
     GroundTruth,
     Mesh,
     Pose,
     SampleRef,
+    raised_as,
 )
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
@@ -119,6 +121,7 @@ class FittedTree(NocsTree):
         found = [depth[ids == item.mask_id] for item in objects]
         return [(int(np.count_nonzero(v)), float(v.max(initial=0))) for v in found]
 
+    @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about a sample, fitted to its NOCS map."""
         item = Listed(*self._details[ref.id])
@@ -146,7 +149,7 @@ class FittedTree(NocsTree):
                 np.random.default_rng(0),
             )
         except NoSimilarityError as error:
-            raise ContractError(f"{path}, object {item.mask_id}: {error}") from None
+            raise DataError(f"{path}, object {item.mask_id}: {error}") from None
 
     def _depth(self, frame: str) -> NDArray[np.float32]:
         return self._read_depth(self.root / self._depth_path(frame), self.camera)
@@ -178,6 +181,7 @@ class Camera25(FittedTree):
         super().__init__("camera25", root, CAMERA_CAMERA)
         self._unit_mesh = functools.cache(self._read_unit_mesh)
 
+    @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about a sample; extents and mesh have the fitted scale."""
         item = Listed(*self._details[ref.id])

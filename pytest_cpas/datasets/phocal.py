@@ -37,7 +37,7 @@ from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
-from pytest_cpas.types import ContractError, SampleRef
+from pytest_cpas.types import ContractError, DataError, SampleRef
 from pytest_cpas.types.frames import SHAPENET_FROM_Z_UP, permute_extents
 
 _TAXONOMY = "class_obj_taxonomy.json"
@@ -51,7 +51,7 @@ class PhoCaL(RecordTree):
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``phocal`` in it; FileNotFoundError says how.
 
-        Raises :class:`ContractError` if the taxonomy cannot be read.
+        Raises :class:`DataError` if the taxonomy cannot be read.
         """
         super().__init__("phocal", find_root("phocal", data_dir, _TAXONOMY, "PhoCAL_release"))
 
@@ -112,9 +112,7 @@ class PhoCaL(RecordTree):
             with np.load(content) as split:  # without allow_pickle nothing in it is run
                 return set(numbers(split["test_idxs"], split["test_idxs"].shape, file).tolist())
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise ContractError(
-                f"{self.root / file}: not an .npz with test_idxs ({error})"
-            ) from error
+            raise DataError(f"{self.root / file}: not an .npz with test_idxs ({error})") from error
 
     def _object(
         self,
@@ -131,7 +129,7 @@ class PhoCaL(RecordTree):
             translation = numbers(truth["cam_t_m2c"], (3,), f"{ref_id}: cam_t_m2c")
             scales = numbers(entry["scales"][instance], (3,), f"{_TAXONOMY}: scales of {model}")
         except (KeyError, TypeError) as error:
-            raise ContractError(
+            raise DataError(
                 f"{ref_id}: {error!r}; expected class_id and inst_id of {_TAXONOMY}, cam_R_m2c and"
                 " cam_t_m2c"
             ) from None

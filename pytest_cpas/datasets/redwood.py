@@ -29,7 +29,7 @@ from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.sources import how_to_get
 from pytest_cpas.reading.numbers import numbers, quaternion_rotation
 from pytest_cpas.reading.paths import below
-from pytest_cpas.types import Camera, ContractError, Sample, SampleRef
+from pytest_cpas.types import Camera, ContractError, DataError, Sample, SampleRef, raised_as
 from pytest_cpas.types.frames import permute_extents
 
 REDWOOD_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -53,7 +53,7 @@ class Redwood75(RecordTree):
     def __init__(self, data_dir: Path | None) -> None:
         """Find the annotations in ``data_dir`` or ``data_dir/redwood75``.
 
-        Raises :class:`FileNotFoundError` that says what to fetch, :class:`ContractError` if the
+        Raises :class:`FileNotFoundError` that says what to fetch, :class:`DataError` if the
         annotations cannot be read.
         """
         super().__init__("redwood75", find_root("redwood75", data_dir, "annotations.json"))
@@ -95,21 +95,21 @@ class Redwood75(RecordTree):
         """The poses of a sequence, of which the rest is found right."""
         wanted = ("category", "mesh", "scale", "pose_anns")
         if not isinstance(annotation, dict) or not set(wanted) <= set(annotation):
-            raise ContractError(f"{where}: expected {', '.join(wanted)}")
+            raise DataError(f"{where}: expected {', '.join(wanted)}")
         if annotation["category"] not in _CATEGORIES:
-            raise ContractError(
+            raise DataError(
                 f"{where}: category {annotation['category']!r}, expected one of"
                 f" {', '.join(_CATEGORIES)}"
             )
         below(self.root, annotation["mesh"], where)
         if not isinstance(annotation["pose_anns"], list):
-            raise ContractError(f"{where}: pose_anns is not a list")
+            raise DataError(f"{where}: pose_anns is not a list")
         return annotation["pose_anns"]
 
     def _record(self, ref: SampleRef, annotation: dict[str, Any], pose: Any, where: str) -> Record:
         keys = ("position", "orientation", "rgb_file", "depth_file")
         if not isinstance(pose, dict) or not set(keys) <= set(pose):
-            raise ContractError(f"{where}: it lacks one of {', '.join(keys)}")
+            raise DataError(f"{where}: it lacks one of {', '.join(keys)}")
         for key in ("rgb_file", "depth_file"):
             below(self.root, pose[key], where)
         folder = f"{ref.category}/rgbd/{ref.scene}"
@@ -125,11 +125,12 @@ class Redwood75(RecordTree):
             mesh=annotation["mesh"],
         )
 
+    @raised_as(DataError)
     def load(self, ref: SampleRef) -> Sample:
-        """Read one sample; :class:`ContractError` names the file that is damaged or missing."""
+        """Read one sample; :class:`DataError` names the file that is damaged or missing."""
         if ref.id in self.absent:
             record = Record(*self._details[ref.id])
-            raise ContractError(
+            raise DataError(
                 f"{self.root / record.rgb} or {self.root / record.depth}: no such file."
                 f" {how_to_get('redwood75')}"
             )

@@ -37,7 +37,7 @@ from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural, regular
 from pytest_cpas.similarity import rigid
-from pytest_cpas.types import Array, ContractError, SampleRef, Symmetry
+from pytest_cpas.types import Array, ContractError, DataError, SampleRef, Symmetry
 from pytest_cpas.types.frames import SHAPENET_FROM_Z_UP
 
 CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
@@ -71,7 +71,7 @@ class Tod(RecordTree):
                 continue
             try:
                 if category not in CATEGORIES:
-                    raise ContractError(
+                    raise DataError(
                         f"{self.root / 'data' / name}: expected an object of"
                         f" {', '.join(CATEGORIES)}, such as bottle_0"
                     )
@@ -100,7 +100,7 @@ class Tod(RecordTree):
                 text = scan.read(target).decode("utf-8", "replace")
                 camera, keypoints = read_target(text, str(self.root / target))
                 if len(keypoints) != len(model.keypoints):
-                    raise ContractError(
+                    raise DataError(
                         f"{self.root / target}: {len(keypoints)} keypoints, but the model has"
                         f" {len(model.keypoints)}"
                     )
@@ -143,7 +143,7 @@ def read_model(path: Path) -> Model:
     found = {name: numbers(v, (len(v), 3), f"{path}: {name}") for name, v in parts.items() if v}
     points = {whole(n[3:]): v.mean(axis=0) for n, v in found.items() if n.startswith("kp.")}
     if "mesh" not in found or not points or set(points) != set(range(len(points))):
-        raise ContractError(f"{path}: expected objects 'mesh', 'kp.000', 'kp.001', ...")
+        raise DataError(f"{path}: expected objects 'mesh', 'kp.000', 'kp.001', ...")
     vertices = found["mesh"] @ SHAPENET_FROM_Z_UP.T
     centre = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
     keypoints = np.stack([points[i] for i in range(len(points))]) @ SHAPENET_FROM_Z_UP.T
@@ -158,11 +158,11 @@ def read_target(text: str, where: str) -> tuple[list[float], Array]:
     cameras = [values for kind, values in fields if kind == "camera"]
     points = [values for kind, values in fields if kind == "keypoints"]
     if len(cameras) != 1 or not points:
-        raise ContractError(f"{where}: expected kp_target with a camera and keypoints")
+        raise DataError(f"{where}: expected kp_target with a camera and keypoints")
     camera = numbers([cameras[0].get(key) for key in _CAMERA], (6,), f"{where}: {_CAMERA}").tolist()
     uvz = [[point.get(key) for key in "uvz"] for point in points]
     u, v, z = numbers(uvz, (len(uvz), 3), f"{where}: keypoints").T
     if (z <= 0).any() or min(camera[:4]) <= 0:
-        raise ContractError(f"{where}: a keypoint behind the camera, or no camera")
+        raise DataError(f"{where}: a keypoint behind the camera, or no camera")
     _, _, fx, fy, cx, cy = camera
     return camera, np.stack([(u - cx) * z / fx, (v - cy) * z / fy, z], axis=-1)

@@ -27,7 +27,7 @@ from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
-from pytest_cpas.types import ContractError, SampleRef
+from pytest_cpas.types import ContractError, DataError, SampleRef
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
 
 CATEGORIES = ("bottle", "bowl", "camera", "laptop", "mug")
@@ -62,17 +62,17 @@ class Wild6D(RecordTree):
         # .../CATEGORY/OBJECT/SEQUENCE/images/N.jpg
         lines = [line.split("/") for line in scan.read(file).decode("utf-8", "replace").split()]
         if any(len(words) < 4 for words in lines):
-            raise ContractError(f"{self.root / file}: expected .../OBJECT/SEQUENCE/images/N.jpg")
+            raise DataError(f"{self.root / file}: expected .../OBJECT/SEQUENCE/images/N.jpg")
         return {f"{w[-4]}/{w[-3]}/{w[-1].removesuffix('.jpg')}" for w in lines}
 
     def _scan_sequence(self, scan: Scan, category: str, path: str, tests: set[str] | None) -> None:
         scan.read(path)
         annotations = load_numpy_pickle(self.root / path).get("annotations")
         if not isinstance(annotations, list):
-            raise ContractError(f"{self.root / path}: annotations is not a list")
+            raise DataError(f"{self.root / path}: annotations is not a list")
         words = path.rsplit("/", 1)[1].removesuffix(".pkl").split("-")
         if len(words) != 3:
-            raise ContractError(f"{self.root / path}: expected CATEGORY-OBJECT-SEQUENCE.pkl")
+            raise DataError(f"{self.root / path}: expected CATEGORY-OBJECT-SEQUENCE.pkl")
         sequence = f"{words[1]}/{words[2]}"
         folder = f"test_set/{category}/{sequence}"
         if not scan.has(f"{folder}/metadata"):
@@ -109,7 +109,7 @@ class Wild6D(RecordTree):
         name = annotation.get("name") if isinstance(annotation, dict) else None
         number = whole(str(name).rsplit("/", 1)[-1])
         if number is None:
-            raise ContractError(f"name {name!r}, expected CATEGORY/OBJECT/SEQUENCE/N")
+            raise DataError(f"name {name!r}, expected CATEGORY/OBJECT/SEQUENCE/N")
         return number
 
     def _record(

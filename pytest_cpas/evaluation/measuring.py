@@ -16,8 +16,9 @@ from pytest_cpas.metrics.boxes import symmetric_iou
 from pytest_cpas.metrics.pose import rotation_error, translation_error
 from pytest_cpas.metrics.surfaces import Surface, surface_errors
 from pytest_cpas.types import (
+    AnswerError,
     Array,
-    ContractError,
+    DataError,
     GroundTruth,
     Hypothesis,
     Mesh,
@@ -25,6 +26,7 @@ from pytest_cpas.types import (
     Prediction,
     SampleRef,
     Symmetry,
+    raised_as,
 )
 from pytest_cpas.types.frames import to_standard
 
@@ -39,7 +41,8 @@ def measure(
 ) -> list[Row]:
     """The errors of each prediction's best hypothesis; frames are converted as ``info`` declares.
 
-    Raises :class:`ContractError` for a hypothesis without the shape that ``info`` declares.
+    Raises :class:`AnswerError` for a hypothesis without the shape that ``info`` declares, or with
+    one that has no area; :class:`DataError` for such a truth.
     """
     rows: list[Row | None] = []
     groups: dict[Symmetry, list[int]] = defaultdict(list)
@@ -82,7 +85,7 @@ def measure(
 
 def declared_part(value: Any, part: str) -> Any:
     if value is None:
-        raise ContractError(
+        raise AnswerError(
             f"hypothesis: {part} is None, but info.gives has {part!r}; give it or do not declare it"
         )
     return value
@@ -91,10 +94,14 @@ def declared_part(value: Any, part: str) -> Any:
 def _fscore(truth: GroundTruth, estimate: Hypothesis) -> float | None:
     if truth.surface is None:
         return None
-    errors = surface_errors(
-        _truth_surface(_Same(truth.surface)),
+    with raised_as(DataError):
+        true_surface = _truth_surface(_Same(truth.surface))
+    with raised_as(AnswerError):
         # another seed than the truth's: two samplings of one mesh must not coincide
-        Surface.of(declared_part(estimate.shape, "shape"), seed=1),
+        surface = Surface.of(declared_part(estimate.shape, "shape"), seed=1)
+    errors = surface_errors(
+        true_surface,
+        surface,
         truth_pose=truth.pose,
         estimated_pose=estimate.pose,
     )

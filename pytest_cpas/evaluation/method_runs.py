@@ -11,10 +11,19 @@ from pathlib import Path
 from pytest_cpas.evaluation.estimates import encode_shape
 from pytest_cpas.evaluation.measuring import declared_part, measure
 from pytest_cpas.evaluation.rows import Row, outcomes
-from pytest_cpas.evaluation.runs import Run, SampleError, Selection, has_quick_truth, read_truth
+from pytest_cpas.evaluation.runs import (
+    Run,
+    SampleError,
+    Selection,
+    has_quick_truth,
+    read_sample,
+    read_truth,
+)
 from pytest_cpas.types import (
+    AnswerError,
     Camera,
     ContractError,
+    DataError,
     Dataset,
     GroundTruth,
     Method,
@@ -118,11 +127,11 @@ class MethodRun(Run):
         return made
 
     def read(self, ref: SampleRef) -> Sample:
-        """One sample; :class:`ContractError` if it is damaged."""
-        return self._dataset.load(ref)
+        """One sample; :class:`DataError` if it is damaged."""
+        return read_sample(self._dataset, ref)
 
     def truth(self, ref: SampleRef) -> GroundTruth:
-        """The truth about one sample; raises :class:`ContractError` if it is damaged."""
+        """The truth about one sample; raises :class:`DataError` if it is damaged."""
         return read_truth(self._dataset, ref)
 
     def judge(self, ref: SampleRef) -> Row:
@@ -130,7 +139,7 @@ class MethodRun(Run):
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         try:
             sample = self.read(ref)
-        except ContractError as error:
+        except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
         try:
             method = self.loaded()
@@ -156,6 +165,8 @@ class MethodRun(Run):
                 shape = to_standard(prediction.hypotheses[0], self._method.info).shape
                 row = replace(row, shape=None if shape is None else encode_shape(shape))
             return row
+        except DataError as error:
+            raise SampleError(f"{where}: the data is bad: {error}") from None
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
 
@@ -177,14 +188,14 @@ def check_answers(answers: Sequence[Prediction], info: MethodInfo) -> Prediction
     """The one prediction of a batch of one, if it holds what the method declares to give."""
     if not isinstance(answers, Sequence) or len(answers) != 1:
         seen = f"{len(answers)} of them" if isinstance(answers, Sequence) else type(answers)
-        raise ContractError(f"predict: {seen}, expected one Prediction for a batch of one")
+        raise AnswerError(f"predict: {seen}, expected one Prediction for a batch of one")
     prediction = answers[0]
     if not isinstance(prediction, Prediction):
-        raise ContractError(f"predict: a {type(prediction).__name__}, expected Prediction")
+        raise AnswerError(f"predict: a {type(prediction).__name__}, expected Prediction")
     for hypothesis in prediction.hypotheses:
         for part in ("extents", "shape", "score"):
             if getattr(hypothesis, part) is not None and part not in info.gives:
-                raise ContractError(
+                raise AnswerError(
                     f"hypothesis: {part} is given, but info.gives is {sorted(info.gives)}; declare"
                     " what is given, or it would not be judged"
                 )

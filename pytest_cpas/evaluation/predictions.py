@@ -32,8 +32,10 @@ from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import (
     CATEGORIES,
+    AnswerError,
     Array,
     ContractError,
+    DataError,
     GroundTruth,
     Hypothesis,
     MethodInfo,
@@ -66,12 +68,12 @@ Frame = Mapping[str, NDArray[Any]]
 def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
     """Yield (name, arrays) per frame, e.g. ``scene_1_0000``.
 
-    Raises :class:`ContractError` naming the file that is damaged, or that is neither form.
+    Raises :class:`DataError` naming the file that is damaged, or that is neither form.
     """
     if path.is_dir():
         files = sorted(path.glob("*.pkl"))
         if not files:
-            raise ContractError(f"{path}: no .pkl files in this folder")
+            raise DataError(f"{path}: no .pkl files in this folder")
         for file in files:
             yield from read_frames(file)
     elif path.suffix == ".npz":
@@ -81,7 +83,7 @@ def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
         name = match.group(0).lstrip("_") if match else path.stem
         yield name, _checked(load_numpy_pickle(path), f"{path}")
     else:
-        raise ContractError(f"{path}: expected a .pkl, a folder of them, or an .npz")
+        raise DataError(f"{path}: expected a .pkl, a folder of them, or an .npz")
 
 
 def _read_npz(path: Path) -> Iterator[tuple[str, Frame]]:
@@ -89,15 +91,15 @@ def _read_npz(path: Path) -> Iterator[tuple[str, Frame]]:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {key: archive[key] for key in archive.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise ContractError(f"{path}: not a readable .npz ({error})") from error
+        raise DataError(f"{path}: not a readable .npz ({error})") from error
     absent = sorted({"frame", "gt_offset", "pred_offset", *_SHAPES} - set(arrays))
     if absent:
-        raise ContractError(f"{path}: lacks {', '.join(absent)}")
+        raise DataError(f"{path}: lacks {', '.join(absent)}")
     names = arrays["frame"]
     for side in ("gt", "pred"):
         offset, count = arrays[f"{side}_offset"], len(arrays[f"{side}_class_ids"])
         if len(offset) != len(names) + 1 or offset[0] != 0 or offset[-1] != count:
-            raise ContractError(
+            raise DataError(
                 f"{path}: {side}_offset has {len(offset)} entries up to {offset[-1]}, expected"
                 f" {len(names) + 1} from 0 to {count}"
             )
@@ -116,18 +118,16 @@ def _checked(frame: Mapping[str, Any], where: str) -> Frame:
         side = key.split("_")[0]
         array = frame.get(key)
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
-            raise ContractError(f"{where}: {key} is missing or not an array of numbers")
+            raise DataError(f"{where}: {key} is missing or not an array of numbers")
         if len(array) == 0:
             array = array.reshape(0, *shape)  # an empty list is stored as shape (0,)
         count = len(checked.get(f"{side}_class_ids", array))
         if array.shape != (count, *shape):
-            raise ContractError(
-                f"{where}: {key} has shape {array.shape}, expected {(count, *shape)}"
-            )
+            raise DataError(f"{where}: {key} has shape {array.shape}, expected {(count, *shape)}")
         checked[key] = array
     ids = np.concatenate([checked["gt_class_ids"], checked["pred_class_ids"]])
     if len(ids) and not (ids.min() >= 1 and ids.max() <= len(CATEGORIES)):
-        raise ContractError(
+        raise DataError(
             f"{where}: class ids run from {ids.min()} to {ids.max()}, expected 1 to"
             f" {len(CATEGORIES)} ({', '.join(CATEGORIES)})"
         )
@@ -166,7 +166,7 @@ def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Arra
     """Pose and extents (3,), metres, of a (4, 4) similarity and a box relative to its scale."""
     determinant = float(np.linalg.det(scaled[:3, :3])) if np.isfinite(scaled).all() else np.nan
     if not determinant > 0:
-        raise ContractError(
+        raise DataError(
             f"the pose has determinant {determinant:g}, expected the cube of a positive scale"
         )
     scale = np.cbrt(determinant)
@@ -184,7 +184,7 @@ class StoredRun(Run):
         for name, frame in read_frames(path):
             scene, _, number = name.rpartition("_")
             if name in self._frames:
-                raise ContractError(f"{path}: frame {name} occurs twice")
+                raise DataError(f"{path}: frame {name} occurs twice")
             self._frames[name] = frame
             for key in _SHAPES:
                 if key.startswith("gt"):
@@ -249,7 +249,7 @@ class StoredRun(Run):
                 symmetry=symmetry_of(ref.category),
             )
         except ContractError as error:
-            raise ContractError(f"ground truth: {error}") from None
+            raise DataError(f"ground truth: {error}") from None
         detection = int(self._assigned(name)[index])
         if detection < 0:
             return truth, Prediction.failed("not detected")
@@ -261,7 +261,7 @@ class StoredRun(Run):
                 (Hypothesis(rotation=pose.rotation, translation=pose.translation, extents=extents),)
             )
         except ContractError as error:
-            raise ContractError(f"prediction {detection} of {name}: {error}") from None
+            raise AnswerError(f"prediction {detection} of {name}: {error}") from None
 
     @functools.cache  # noqa: B019 - lives as long as the run
     def _assigned(self, name: str) -> NDArray[np.int64]:

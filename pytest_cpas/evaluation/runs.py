@@ -12,10 +12,18 @@ import numpy as np
 import scipy
 
 from pytest_cpas.evaluation.rows import DEFINITIONS, Row
-from pytest_cpas.types import Dataset, GroundTruth, MethodInfo, SampleRef
+from pytest_cpas.types import (
+    DataError,
+    Dataset,
+    GroundTruth,
+    MethodInfo,
+    Sample,
+    SampleRef,
+    raised_as,
+)
 from pytest_cpas.types.samples import evenly
 
-__all__ = ["Run", "SampleError", "Selection", "has_quick_truth", "read_truth"]
+__all__ = ["Run", "SampleError", "Selection", "has_quick_truth", "read_sample", "read_truth"]
 
 
 class SampleError(Exception):
@@ -96,7 +104,14 @@ def has_quick_truth(dataset: Dataset) -> bool:
 
 
 def read_truth(dataset: Dataset, ref: SampleRef) -> GroundTruth:
-    """The truth about one sample of a data set; :class:`ContractError` if it is damaged."""
+    """The truth about one sample of a data set; :class:`DataError` if it is damaged."""
     read = getattr(dataset, "truth", None)
-    truth: GroundTruth = dataset.load(ref).truth if read is None else read(ref)
+    with raised_as(DataError):
+        truth: GroundTruth = dataset.load(ref).truth if read is None else read(ref)
     return truth
+
+
+def read_sample(dataset: Dataset, ref: SampleRef) -> Sample:
+    """One sample of a data set; :class:`DataError` if it is damaged."""
+    with raised_as(DataError):
+        return dataset.load(ref)

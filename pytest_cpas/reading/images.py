@@ -1,4 +1,4 @@
-"""Reading images; every damage ends in a :class:`ContractError` that names the file."""
+"""Reading images; every damage ends in a :class:`DataError` that names the file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pytest_cpas.reading.paths import regular
-from pytest_cpas.types import Camera, ContractError
+from pytest_cpas.types import Camera, ContractError, DataError
 
 
 @contextmanager
@@ -29,7 +29,7 @@ def _opened(path: Path) -> Generator[Image.Image]:
     ) as error:
         if isinstance(error, ContractError):
             raise
-        raise ContractError(
+        raise DataError(
             f"{path}: not a readable image ({error}); it is damaged or truncated, fetch it again"
         ) from error
 
@@ -44,11 +44,11 @@ def _read(path: Path, camera: Camera, modes: tuple[str, ...], what: str) -> NDAr
     """Decode, once mode and size are known to be the right ones."""
     with _opened(path) as image:
         if image.mode not in modes:
-            raise ContractError(
+            raise DataError(
                 f"{path}: image mode is {image.mode}, expected {' or '.join(modes)} ({what})"
             )
         if image.size != (camera.width, camera.height):
-            raise ContractError(
+            raise DataError(
                 f"{path}: {image.width} x {image.height} pixels, but the camera has"
                 f" {camera.width} x {camera.height}"
             )
@@ -83,7 +83,7 @@ def _read_exr(path: Path, camera: Camera) -> NDArray[np.float32]:
     try:
         import OpenEXR
     except ImportError as error:
-        raise ContractError(
+        raise DataError(
             f'{path}: reading OpenEXR images needs pip install "pytest-cpas[exr]" ({error})'
         ) from error
     try:
@@ -91,19 +91,19 @@ def _read_exr(path: Path, camera: Camera) -> NDArray[np.float32]:
             low, high = file.header()["dataWindow"]
         width, height = (np.asarray(high) - np.asarray(low) + 1).tolist()
         if (width, height) != (camera.width, camera.height):
-            raise ContractError(
+            raise DataError(
                 f"{path}: {width} x {height} pixels, but the camera has"
                 f" {camera.width} x {camera.height}"
             )
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = file.channels()
             if "D" not in channels:
-                raise ContractError(f"{path}: channels {sorted(channels)}, expected D")
+                raise DataError(f"{path}: channels {sorted(channels)}, expected D")
             depth = np.array(channels["D"].pixels, dtype=np.float32)
     except (RuntimeError, ValueError, KeyError, TypeError, OSError) as error:
         if isinstance(error, ContractError):
             raise
-        raise ContractError(
+        raise DataError(
             f"{path}: not a readable image ({error}); it is damaged or truncated, fetch it again"
         ) from error
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from pytest_cpas.reading.paths import regular
-from pytest_cpas.types import Array, ContractError, Mesh
+from pytest_cpas.types import Array, ContractError, DataError, Mesh
 
 _FORMATS = (".obj", ".off", ".ply", ".stl")
 
@@ -18,10 +18,10 @@ def read_mesh(path: Path, axes: Array | None = None) -> Mesh:
 
     Where ``axes`` mirrors, the triangles are turned, so that their outside stays outside.
 
-    Raises :class:`ContractError` naming the file when it is damaged or has no triangles.
+    Raises :class:`DataError` naming the file when it is damaged or has no triangles.
     """
     if path.suffix.lower() not in _FORMATS:  # some others name further files to be read
-        raise ContractError(f"{path}: not a mesh of {', '.join(_FORMATS)}")
+        raise DataError(f"{path}: not a mesh of {', '.join(_FORMATS)}")
     try:
         # materials would be looked for beside the file, or wherever it says
         loaded = trimesh.load_mesh(regular(path), process=False, skip_materials=True)
@@ -33,4 +33,4 @@ def read_mesh(path: Path, axes: Array | None = None) -> Mesh:
     except Exception as error:  # trimesh raises what its parsers raise
         if isinstance(error, ContractError) and str(path) in str(error):
             raise
-        raise ContractError(f"{path}: not a readable mesh ({error}); fetch it again") from error
+        raise DataError(f"{path}: not a readable mesh ({error}); fetch it again") from error

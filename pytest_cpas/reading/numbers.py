@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.types import Array, ContractError
+from pytest_cpas.types import Array, DataError
 
 
 def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
@@ -19,7 +19,7 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
     if array.size != np.prod(shape) or not np.isfinite(array).all():
         seen = " ".join(str(value).split())
         seen = seen if len(seen) <= 120 else seen[:117] + "..."
-        raise ContractError(f"{what}: {seen}, expected {np.prod(shape)} finite numbers")
+        raise DataError(f"{what}: {seen}, expected {np.prod(shape)} finite numbers")
     return array.reshape(shape)
 
 
@@ -34,5 +34,5 @@ def quaternion_rotation(value: Any, what: str) -> Array:
     """The rotation matrix of a unit quaternion, scalar last."""
     quaternion = numbers(value, (4,), what)
     if abs(np.linalg.norm(quaternion) - 1) > 1e-3:
-        raise ContractError(f"{what}: {quaternion.tolist()}, expected a unit quaternion")
+        raise DataError(f"{what}: {quaternion.tolist()}, expected a unit quaternion")
     return Rotation.from_quat(quaternion).as_matrix()

@@ -1,4 +1,4 @@
-"""Finding and reading the files of a tree; every damage is a :class:`ContractError` with a path."""
+"""Finding and reading the files of a tree; every damage is a :class:`DataError` with a path."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from pytest_cpas.types import ContractError
+from pytest_cpas.types import DataError
 
 
 def names(folder: Path) -> set[str]:
@@ -24,17 +24,17 @@ def regular(path: Path) -> Path:
     """``path`` if it is a file; opening a pipe would wait for ever, a device could do anything."""
     if not path.is_file():
         what = "not a regular file" if path.exists() else "no such file"
-        raise ContractError(f"{path}: {what}")
+        raise DataError(f"{path}: {what}")
     return path
 
 
 def below(folder: Path, name: object, source: str) -> Path:
     """The path that ``source`` names relative to ``folder``; it must not lead out of it."""
     if not isinstance(name, str) or not name or "\0" in name:
-        raise ContractError(f"{source}: {name!r}, expected the name of a file below {folder}")
+        raise DataError(f"{source}: {name!r}, expected the name of a file below {folder}")
     relative = PurePosixPath(name)
     if relative.is_absolute() or ".." in relative.parts or "\\" in name:
-        raise ContractError(
+        raise DataError(
             f"{source}: {name!r} leads out of {folder}; expected a path below it, with '/'"
         )
     return folder / relative
@@ -45,9 +45,9 @@ def parse_json(path: Path, content: bytes, kind: type = dict) -> Any:
     try:
         parsed = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise ContractError(
+        raise DataError(
             f"{path}: not readable JSON ({error}); is it truncated? Fetch it again"
         ) from error
     if not isinstance(parsed, kind):
-        raise ContractError(f"{path}: holds a {type(parsed).__name__}, expected a {kind.__name__}")
+        raise DataError(f"{path}: holds a {type(parsed).__name__}, expected a {kind.__name__}")
     return parsed

@@ -24,7 +24,7 @@ from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.diagnosis import diagnose_run
 from pytest_cpas.evaluation import MethodError, MethodRun, SampleError, Selection
 from pytest_cpas.golden import RunTable
-from pytest_cpas.types import ContractError, Method, Sample, SampleRef
+from pytest_cpas.types import ContractError, DeclarationError, Method, Sample, SampleRef
 
 __all__ = [
     "ContractStage",
@@ -53,7 +53,7 @@ class KnownViolation:
 def known_violations(method: Method) -> dict[str, KnownViolation]:
     """The ``[[contract]]`` entries of ``NAME.expectations.toml`` beside the method's module.
 
-    By check; empty if there is no file. :class:`ContractError` if it is damaged.
+    By check; empty if there is no file. :class:`DeclarationError` if it is damaged.
     """
     path = Path(inspect.getfile(type(method))).with_name(f"{method.info.name}.expectations.toml")
     if not path.is_file():
@@ -62,13 +62,13 @@ def known_violations(method: Method) -> dict[str, KnownViolation]:
         entries = tomllib.loads(path.read_text(encoding="utf-8")).get("contract", [])
         known = {entry["check"]: KnownViolation(**entry) for entry in entries}
     except (tomllib.TOMLDecodeError, TypeError, KeyError, AttributeError) as error:
-        raise ContractError(
+        raise DeclarationError(
             f"{path}: expected [[contract]] entries with check and reason ({error!r})"
         ) from error
     unknown = sorted(known.keys() - CONTRACT.keys())
     if unknown or not all(entry.reason.strip() for entry in known.values()):
         seen = f"there is no check {', '.join(unknown)}" if unknown else "an entry has no reason"
-        raise ContractError(f"{path}: {seen}; the checks are {', '.join(CONTRACT)}")
+        raise DeclarationError(f"{path}: {seen}; the checks are {', '.join(CONTRACT)}")
     return known
 
 
@@ -114,7 +114,7 @@ class ContractStage:
     """The contract checks of a run in this process: each runs once, when it is first asked for."""
 
     def __init__(self, run: MethodRun) -> None:
-        """Read what is known; :class:`ContractError` if that file is damaged."""
+        """Read what is known; :class:`DeclarationError` if that file is damaged."""
         self.run = run
         self.known = known_violations(run.unloaded)
         #: Whether the checks are among the items of the session; if not, they stop nothing.

@@ -39,7 +39,14 @@ from pytest_cpas.report.terminal import print_robustness, print_run, shows_sampl
 from pytest_cpas.report.up_axes import up_axes
 from pytest_cpas.session.contract_stage import ContractStage, Stage, StoredStage
 from pytest_cpas.session.suite_session import SuiteSession, report_outcome
-from pytest_cpas.types import ContractError, Dataset, Method, MethodInfo, assets_of
+from pytest_cpas.types import (
+    ContractError,
+    Dataset,
+    DeclarationError,
+    Method,
+    MethodInfo,
+    assets_of,
+)
 
 #: Where an item keeps what it found out: rows, and errors of samples without one.
 FOUND = pytest.StashKey["Found"]()
@@ -428,7 +435,7 @@ def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
     factory = registry.resolve("method", name)
     info = getattr(factory, "info", None)
     if not isinstance(info, MethodInfo):
-        raise ContractError(
+        raise DeclarationError(
             f"method {name!r}: {factory!r} has no attribute info of type MethodInfo; a method is a"
             " class with info, load(assets, device) and predict(batch, seed)"
         )

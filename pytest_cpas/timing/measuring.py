@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.types import ContractError, Sample, SampleRef
+from pytest_cpas.types import ContractError, DataError, Sample, SampleRef
 
 #: Different samples that a run is timed with, about: as many of each category.
 SAMPLES = 12
@@ -126,8 +126,8 @@ def timed_samples(run: MethodRun, categories: Collection[str]) -> list[Sample]:
     """Some :data:`SAMPLES` samples of a run, read: evenly spaced in each of ``categories``, or one
     of each of so many categories.
 
-    Of a damaged sample the next one takes the place. Raises :class:`ContractError` if there is
-    none.
+    Of a damaged sample the next one takes the place. Raises :class:`ContractError` if
+    there is none.
     """
     by_category: dict[str, list[SampleRef]] = defaultdict(list)
     for ref in run.samples:
@@ -146,7 +146,7 @@ def timed_samples(run: MethodRun, categories: Collection[str]) -> list[Sample]:
         for low, high in pairwise(edges):
             chosen += _first_readable(run, refs[low:high])
     if not chosen:
-        raise ContractError(f"no sample of {run.dataset} can be read")
+        raise DataError(f"no sample of {run.dataset} can be read")
     return chosen
 
 

@@ -8,13 +8,20 @@ Conventions (everywhere in this package, adapters convert at their own border):
 * a pose maps object coordinates to camera coordinates: ``x_camera = R @ x_object + t``.
 
 Everything is validated on entry and raises :class:`ContractError` with what was seen, what was
-expected and what to look for in an adapter.
+expected and what to look for in an adapter: as :class:`DataError`, :class:`AnswerError` or
+:class:`DeclarationError` where it is known whose value it is.
 """
 
 from pytest_cpas.types._arrays import Array
 from pytest_cpas.types.answers import Hypothesis, Prediction
 from pytest_cpas.types.declarations import EQUIVARIANCES, Asset, Method, MethodInfo, assets_of
-from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.errors import (
+    AnswerError,
+    ContractError,
+    DataError,
+    DeclarationError,
+    raised_as,
+)
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
 from pytest_cpas.types.samples import (
     CATEGORIES,
@@ -28,11 +35,14 @@ from pytest_cpas.types.samples import (
 __all__ = [
     "CATEGORIES",
     "EQUIVARIANCES",
+    "AnswerError",
     "Array",
     "Asset",
     "Camera",
     "ContractError",
+    "DataError",
     "Dataset",
+    "DeclarationError",
     "GroundTruth",
     "Hypothesis",
     "Mesh",
@@ -45,4 +55,5 @@ __all__ = [
     "SampleRef",
     "Symmetry",
     "assets_of",
+    "raised_as",
 ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_cpas.types._arrays import Array, checked_extents, frozen_array
-from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.errors import AnswerError, raised_as
 from pytest_cpas.types.geometry import Mesh, Pose
 
 __all__ = ["Hypothesis", "Prediction"]
@@ -30,6 +30,7 @@ class Hypothesis:
     mesh: Mesh | None = None
     score: float | None = None
 
+    @raised_as(AnswerError)
     def __post_init__(self) -> None:
         pose = Pose(self.rotation, self.translation)
         object.__setattr__(self, "rotation", pose.rotation)
@@ -39,12 +40,12 @@ class Hypothesis:
         if self.points is not None:
             points = frozen_array(self.points, (None, 3), "points (metres)")
             if len(points) == 0:
-                raise ContractError("points: no points; leave it None if there is no shape")
+                raise AnswerError("points: no points; leave it None if there is no shape")
             object.__setattr__(self, "points", points)
         if self.mesh is not None and not isinstance(self.mesh, Mesh):
-            raise ContractError(f"mesh: a {type(self.mesh).__name__}, expected pytest_cpas Mesh")
+            raise AnswerError(f"mesh: a {type(self.mesh).__name__}, expected pytest_cpas Mesh")
         if self.score is not None and not np.isfinite(self.score):
-            raise ContractError(f"score: {self.score}, expected a finite number or None")
+            raise AnswerError(f"score: {self.score}, expected a finite number or None")
 
     @property
     def pose(self) -> Pose:
@@ -72,11 +73,11 @@ class Prediction:
         object.__setattr__(self, "hypotheses", tuple(self.hypotheses))
         for hypothesis in self.hypotheses:
             if not isinstance(hypothesis, Hypothesis):
-                raise ContractError(
+                raise AnswerError(
                     f"prediction: holds a {type(hypothesis).__name__}, expected Hypothesis"
                 )
         if not self.hypotheses and not self.reason:
-            raise ContractError(
+            raise AnswerError(
                 "prediction: no hypothesis and no reason; say why with Prediction.failed('...')"
             )
 

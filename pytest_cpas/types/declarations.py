@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 from pytest_cpas.types.answers import Prediction
-from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.errors import DeclarationError
 from pytest_cpas.types.samples import Observation
 
 __all__ = ["EQUIVARIANCES", "Asset", "Method", "MethodInfo", "assets_of"]
@@ -72,7 +72,7 @@ class MethodInfo:
         ):
             seen = frozenset(getattr(self, name))
             if not seen <= allowed:
-                raise ContractError(
+                raise DeclarationError(
                     f"method {self.name!r}: {name} has {sorted(seen - allowed)}, expected some of"
                     f" {sorted(allowed)}"
                 )
@@ -82,19 +82,19 @@ class MethodInfo:
             ("camera_frame", ("opencv", "opengl")),
         ):
             if getattr(self, name) not in choices:
-                raise ContractError(
+                raise DeclarationError(
                     f"method {self.name!r}: {name} is {getattr(self, name)!r}, expected one of"
                     f" {choices}"
                 )
         if not 0 <= self.tolerance < 0.1:
-            raise ContractError(
+            raise DeclarationError(
                 f"method {self.name!r}: tolerance is {self.tolerance}, expected metres and radians"
                 " that float noise explains, below 0.1"
             )
         if not self.categories:
-            raise ContractError(f"method {self.name!r}: it declares no categories")
+            raise DeclarationError(f"method {self.name!r}: it declares no categories")
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.name):
-            raise ContractError(
+            raise DeclarationError(
                 f"method {self.name!r}: a name becomes a folder of golden tables; expected letters,"
                 " digits, '.', '_' and '-'"
             )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.types._arrays import Array, checked_extents, frozen_array
-from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.errors import DataError, raised_as
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
 
 __all__ = ["CATEGORIES", "Dataset", "GroundTruth", "Observation", "Sample", "SampleRef", "evenly"]
@@ -43,22 +43,22 @@ class Observation:
             ("mask", self.mask, size, np.bool_),
         ):
             if array.shape != shape or array.dtype != dtype:
-                raise ContractError(
+                raise DataError(
                     f"{name}: shape {array.shape} of {array.dtype}, expected {shape} of"
                     f" {np.dtype(dtype)} (the camera is {size[1]} x {size[0]})"
                 )
         # min and max propagate NaN, and a comparison with NaN is false
         if not (self.rgb.min() >= 0 and self.rgb.max() <= 1):
-            raise ContractError(
+            raise DataError(
                 f"rgb: values from {self.rgb.min():g} to {self.rgb.max():g}, expected 0 to 1"
             )
         if not (self.depth.min() >= 0 and self.depth.max() < np.inf):
-            raise ContractError(
+            raise DataError(
                 f"depth: values from {self.depth.min():g} to {self.depth.max():g}, expected finite"
                 " metres, 0 where missing"
             )
         if not self.mask.any():
-            raise ContractError("mask: empty, so there is no object to find")
+            raise DataError("mask: empty, so there is no object to find")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,6 +75,7 @@ class GroundTruth:
     symmetry: Symmetry
     surface: Mesh | Array | None = None
 
+    @raised_as(DataError)
     def __post_init__(self) -> None:
         object.__setattr__(self, "extents", checked_extents(self.extents))
         if self.surface is not None and not isinstance(self.surface, Mesh):
@@ -132,7 +133,7 @@ class Dataset(Protocol):
     damaged: Sequence[str]
 
     def load(self, ref: SampleRef) -> Sample:
-        """Read one sample. Raises :class:`ContractError` naming the file that is damaged."""
+        """Read one sample. Raises :class:`DataError` naming the file that is damaged."""
 
 
 _Value = TypeVar("_Value")

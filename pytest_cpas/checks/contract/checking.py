@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.evaluation import check_answers
 from pytest_cpas.types import (
+    AnswerError,
     Array,
     ContractError,
     Hypothesis,
@@ -159,7 +160,7 @@ class MethodSubject:
         try:
             if not isinstance(answers, Sequence) or len(answers) != len(batch):
                 count = len(answers) if isinstance(answers, Sequence) else type(answers).__name__
-                raise ContractError(
+                raise AnswerError(
                     f"predict: {count} for a batch of {len(batch)}; return one Prediction for each"
                     " observation, in order"
                 )

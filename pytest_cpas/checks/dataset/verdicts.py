@@ -24,7 +24,7 @@ from pathlib import Path
 
 from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey
-from pytest_cpas.types import ContractError, Dataset
+from pytest_cpas.types import Dataset, DeclarationError
 
 __all__ = ["KnownFault", "Verdict", "Word", "judge", "known_faults_file", "read_known_faults"]
 
@@ -66,12 +66,12 @@ def known_faults_file(dataset: Dataset) -> Path:
 
 
 def read_known_faults(path: Path) -> list[KnownFault]:
-    """The entries of a file; :class:`ContractError` if it is damaged or not there."""
+    """The entries of a file; :class:`DeclarationError` if it is damaged or not there."""
     try:
         entries = tomllib.loads(path.read_text(encoding="utf-8")).get("fault", [])
         return [KnownFault(**entry) for entry in entries]
     except (OSError, TypeError, ValueError, AttributeError) as error:
-        raise ContractError(
+        raise DeclarationError(
             f"{path}: not a list of known faults ({error}); expected tables [[fault]] with check,"
             " reason and, as wanted, sample, model and category"
         ) from error

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.types import ContractError
+from pytest_cpas.types import DeclarationError
 
 __all__ = ["KNOWN", "Box", "Known", "Offer", "Sample", "offer"]
 
@@ -159,24 +159,27 @@ class Offer:
     definition: Mapping[str, Any]
 
     def completed(self, metric: str) -> Offer:
-        """With the defaults of ``metric``; :class:`ContractError` for an impossible definition."""
+        """With the defaults of ``metric``.
+
+        Raises :class:`DeclarationError` for an impossible definition.
+        """
         if metric not in KNOWN:
-            raise ContractError(f"adapter: unknown metric {metric!r}; known: {', '.join(KNOWN)}")
+            raise DeclarationError(f"adapter: unknown metric {metric!r}; known: {', '.join(KNOWN)}")
         choices = KNOWN[metric].choices
         for key, value in self.definition.items():
             if key not in choices:
-                raise ContractError(
+                raise DeclarationError(
                     f"adapter: {metric} has no {key!r} to declare; it has {sorted(choices)}"
                 )
             possible: Any = choices[key]
             if key == "symmetries":
                 if not set(value) <= {*_SYMMETRIES, *_PRINCIPAL}:
-                    raise ContractError(
+                    raise DeclarationError(
                         f"adapter: {metric}: {key} is {value!r}, expected some of"
                         f" {(*_SYMMETRIES, *_PRINCIPAL)}"
                     )
             elif value not in possible:
-                raise ContractError(
+                raise DeclarationError(
                     f"adapter: {metric}: {key} is {value!r}, expected one of {possible}"
                 )
         defaults = {key: values[0] for key, values in choices.items()}

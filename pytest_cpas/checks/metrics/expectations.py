@@ -13,7 +13,7 @@ from pathlib import Path
 from pytest_cpas._files import write_text
 from pytest_cpas.checks.metrics.running import Result, adapter_module
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.types import ContractError
+from pytest_cpas.types import DeclarationError
 
 __all__ = ["Expectation", "expectations_file", "read_expectations", "write_expectations"]
 
@@ -33,19 +33,19 @@ def expectations_file(name: str) -> Path:
     """Where the known violations of a subject are: beside the module of its adapter."""
     file = adapter_module(name).__file__
     if file is None:
-        raise ContractError(f"metrics {name!r}: its adapter's module has no file")
+        raise DeclarationError(f"metrics {name!r}: its adapter's module has no file")
     return Path(file).with_suffix(".violations.toml")
 
 
 def read_expectations(path: Path) -> dict[str, Expectation]:
-    """By property; empty if there is no file. :class:`ContractError` if it is damaged."""
+    """By property; empty if there is no file. :class:`DeclarationError` if it is damaged."""
     if not path.is_file():
         return {}
     try:
         entries = tomllib.loads(path.read_text(encoding="utf-8")).get("violation", [])
         read = [Expectation(**{**entry, "outcome": Outcome(entry["outcome"])}) for entry in entries]
     except (tomllib.TOMLDecodeError, TypeError, KeyError, ValueError, AttributeError) as error:
-        raise ContractError(
+        raise DeclarationError(
             f"{path}: not a list of violations ({error}); record it anew with --snapshot-update"
         ) from error
     return {entry.property: entry for entry in read}

@@ -23,7 +23,7 @@ from pytest_cpas.checks.metrics.properties import Property
 from pytest_cpas.checks.metrics.subject import Subject, time_limit
 from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.registry import resolve
-from pytest_cpas.types import ContractError
+from pytest_cpas.types import DeclarationError
 
 __all__ = ["DEFAULT_EXAMPLES", "DEFAULT_TIME_LIMIT", "Result", "check", "load_subject", "replay"]
 
@@ -53,17 +53,17 @@ class Result:
 def load_subject(name: str) -> Subject:
     """The implementation registered as ``name``, or whose adapter is module ``package.module``.
 
-    Raises :class:`RegistryError` or :class:`ContractError`.
+    Raises :class:`RegistryError` or :class:`DeclarationError`.
     """
     return as_subject(name, resolve("metric", name))
 
 
 def as_subject(name: str, metrics: object) -> Subject:
-    """The subject of an adapter; :class:`ContractError` if it is none."""
+    """The subject of an adapter; :class:`DeclarationError` if it is none."""
     if not isinstance(metrics, Mapping) or not all(
         isinstance(entry, Offer) for entry in metrics.values()
     ):
-        raise ContractError(
+        raise DeclarationError(
             f"metrics {name!r}: its adapter is {metrics!r:.80}, expected a mapping of metric names"
             " to offer(function, ...)"
         )
