@@ -1,1 +1,1 @@
-"""Adapters of methods, one module per method; they know :mod:`pytest_cpas.types` alone."""
+"""Adapters of methods, one module per method; they know :mod:`pytest_cpas.adapting` alone."""

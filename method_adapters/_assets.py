@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.types import CATEGORIES, Asset
+from pytest_cpas.adapting import CATEGORIES, Asset
 
 #: The category priors, (6, 1024, 3) in NOCS units, that SPD, CR-Net, SGPA, DPDN and RBP-Pose share.
 MEAN_SHAPES = Asset(

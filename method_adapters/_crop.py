@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.types import Camera
+from pytest_cpas.adapting import Camera
 
 Image = NDArray[np.float32]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pytest_cpas.types import CATEGORIES, Asset, MethodInfo
+from pytest_cpas.adapting import CATEGORIES, Asset, MethodInfo
 
 #: Where code or weights were published without a licence.
 PORT_ALONE = "MIT (this port; the weights state no licence)"

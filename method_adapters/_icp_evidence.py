@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from pytest_cpas.types import Camera, Observation
+from pytest_cpas.adapting import Camera, Observation
 
 Array = NDArray[np.float64]
 

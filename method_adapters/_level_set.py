@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from method_adapters._assets import require
 from method_adapters._crop import NoAnswerError
-from pytest_cpas.types import Mesh
+from pytest_cpas.adapting import Mesh
 
 
 def require_scikit_image() -> None:

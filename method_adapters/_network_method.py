@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from method_adapters._assets import require_torch
 from method_adapters._crop import NoAnswerError
-from pytest_cpas.stages import stage
-from pytest_cpas.types import Hypothesis, MethodInfo, Observation, Prediction
+from pytest_cpas.adapting import Hypothesis, MethodInfo, Observation, Prediction, stage
 
 if TYPE_CHECKING:
     from torch import nn

@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
-from pytest_cpas.types import Camera, Observation
+from pytest_cpas.adapting import Camera, Observation
 
 Array = NDArray[np.float64]
 

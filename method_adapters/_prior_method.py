@@ -19,8 +19,13 @@ from method_adapters._crop import (
     subset_in_order,
 )
 from method_adapters._network_method import Array, NetworkMethod
-from pytest_cpas.similarity import NoSimilarityError, robust_umeyama
-from pytest_cpas.types import CATEGORIES, Hypothesis, Observation
+from pytest_cpas.adapting import (
+    CATEGORIES,
+    Hypothesis,
+    NoSimilarityError,
+    Observation,
+    robust_umeyama,
+)
 
 #: x of the middle of the mug's mean shape, NOCS units: its handle pulls it off the origin.
 MUG_OFFSET = 0.08943803608

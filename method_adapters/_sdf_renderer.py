@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from pytest_cpas.types import Camera
+from pytest_cpas.adapting import Camera
 
 #: How a depth's gradient is shared among the eight nodes around the end of its ray: as in trilinear
 #: interpolation, or as the published kernel does, with the weights in the wrong order.

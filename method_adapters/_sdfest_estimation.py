@@ -17,7 +17,7 @@ from method_adapters._sdf_renderer import (
     ray_depths,
     rotation_matrix,
 )
-from pytest_cpas.types import Array
+from pytest_cpas.adapting import Array
 
 #: A ray ends this share of its length before the surface.
 THRESHOLD = 0.005

@@ -19,14 +19,14 @@ from method_adapters._assets import NOCS_TERMS, require_torch
 from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
 from method_adapters._declaration import port_info
 from method_adapters._shape_model import COMPONENTS, ShapeModel, read_shape_model
-from pytest_cpas._open3d import import_open3d
-from pytest_cpas.stages import stage
-from pytest_cpas.types import (
+from pytest_cpas.adapting import (
     CATEGORIES,
     Asset,
     Hypothesis,
     Observation,
     Prediction,
+    import_open3d,
+    stage,
 )
 
 require_torch()

@@ -22,7 +22,7 @@ from method_adapters._crop import (
 )
 from method_adapters._declaration import port_info
 from method_adapters._network_method import Array, NetworkMethod
-from pytest_cpas.types import Asset, Hypothesis, Observation
+from pytest_cpas.adapting import Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
     from torch import nn

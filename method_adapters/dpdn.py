@@ -13,7 +13,7 @@ from method_adapters._declaration import port_info
 from method_adapters._depth_filling import fill_depth
 from method_adapters._network_method import Array
 from method_adapters._prior_method import Inputs, PriorMethod, prior_offset
-from pytest_cpas.types import Asset, Hypothesis, Observation
+from pytest_cpas.adapting import Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
     from torch import nn

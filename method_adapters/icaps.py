@@ -20,16 +20,16 @@ from method_adapters._crop import NoAnswerError
 from method_adapters._declaration import port_info
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._particle_filter import Belief, View, first_belief, next_belief
-from pytest_cpas.stages import stage
-from pytest_cpas.types import (
+from pytest_cpas.adapting import (
     CATEGORIES,
+    NOCS_FROM_SHAPENET,
     Asset,
     Hypothesis,
     Mesh,
     Observation,
     Prediction,
+    stage,
 )
-from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 if TYPE_CHECKING:
     from method_adapters._networks.icaps import Shape

@@ -22,13 +22,13 @@ from scipy.spatial.transform import Rotation
 
 from method_adapters._icp_evidence import Evidence, TooLittleEvidenceError
 from method_adapters._icp_prior import Prior
-from pytest_cpas import stages
-from pytest_cpas.types import (
+from pytest_cpas.adapting import (
     CATEGORIES,
     Hypothesis,
     MethodInfo,
     Observation,
     Prediction,
+    stage,
 )
 
 Array = NDArray[np.float64]
@@ -93,12 +93,12 @@ class Icp:
 
     def _fit(self, observation: Observation, seed: int) -> Prediction:
         try:
-            with stages.stage("pre-processing"):
+            with stage("pre-processing"):
                 evidence = Evidence.of(observation, np.random.default_rng(seed))
         except TooLittleEvidenceError as error:
             return Prediction.failed(str(error))
         prior = Prior.of(observation.category)
-        with stages.stage("fit"):
+        with stage("fit"):
             best = fit(prior, evidence)
         scale = np.exp(best.log_scale[0])
         points = prior.points[best.variant[0]] * scale
@@ -139,11 +139,11 @@ class Candidates:
 def fit(prior: Prior, evidence: Evidence) -> Candidates:
     """The one placement of a prior's shape that explains the evidence best."""
     candidates = _start(prior, evidence)
-    for stage in STAGES:
-        if stage.shapes:
+    for step in STAGES:
+        if step.shapes:
             candidates = _all_shapes(prior, candidates)
-        candidates = _refine(prior, evidence, candidates, stage)
-        candidates = _distinct(prior, candidates)[: stage.keep]
+        candidates = _refine(prior, evidence, candidates, step)
+        candidates = _distinct(prior, candidates)[: step.keep]
     return candidates
 
 

@@ -13,7 +13,7 @@ from method_adapters._crop import Crop, NoAnswerError, back_project, crop_of, de
 from method_adapters._declaration import port_info
 from method_adapters._network_method import Array, NetworkMethod
 from method_adapters._prior_method import prior_offset
-from pytest_cpas.types import CATEGORIES, Asset, Hypothesis, Observation
+from pytest_cpas.adapting import CATEGORIES, Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
     from torch import nn

@@ -20,9 +20,8 @@ from method_adapters._declaration import port_info
 from method_adapters._level_set import level_set, require_scikit_image
 from method_adapters._sdfest_configuration import Configuration, read_configuration, released
 from method_adapters._so3_grid import rotation_grid
-from pytest_cpas.metrics import sample_surface
-from pytest_cpas.stages import stage
-from pytest_cpas.types import (
+from pytest_cpas.adapting import (
+    OPENCV_FROM_OPENGL,
     Array,
     Asset,
     ContractError,
@@ -31,8 +30,9 @@ from pytest_cpas.types import (
     Observation,
     Pose,
     Prediction,
+    sample_surface,
+    stage,
 )
-from pytest_cpas.types.frames import OPENCV_FROM_OPENGL
 
 if TYPE_CHECKING:
     from method_adapters._networks.sdfest import InitNet, SdfVae

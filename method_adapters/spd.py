@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from method_adapters._assets import MEAN_SHAPES, NOCS_TERMS
 from method_adapters._declaration import port_info
 from method_adapters._prior_method import PriorMethod
-from pytest_cpas.types import Asset
+from pytest_cpas.adapting import Asset
 
 if TYPE_CHECKING:
     from torch import nn

@@ -24,7 +24,7 @@ ARROWS: Mapping[str, set[str]] = {
     "documents": set(),
     "metrics": {"types"},
     "reading": {"types"},
-    "adapting": _BOTTOM | {"metrics", "reading"},
+    "adapting": {"_open3d", "metrics", "similarity", "stages", "types"},
     "registry": {"types", "_deprecation"},
     "datasets": _BOTTOM | {"reading"},
     "evaluation": {"datasets", "metrics", "reading", "types", "_files"},
