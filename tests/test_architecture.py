@@ -21,7 +21,7 @@ ARROWS: Mapping[str, set[str]] = {
     "similarity": set(),
     "stages": set(),
     "types": {"_deprecation"},
-    "documents": set(),
+    "documents": {"types"},
     "metrics": {"types"},
     "reading": {"types"},
     "adapting": {"_open3d", "metrics", "similarity", "stages", "types"},

@@ -1,13 +1,13 @@
 """What is wrong with a method whose answers are wrong: the usual mistakes, tested on its answers.
 
-:func:`diagnose` takes :class:`Evidence`, arrays of answers and truths, and returns
-:class:`Finding`; it needs no pytest and runs no method. :func:`diagnose_run` does so for the rows
-of a run that is far below what is expected of it.
+:func:`diagnose` takes :class:`Evidence`, arrays of answers and truths, and returns a list
+of :class:`Explanation`; it needs no pytest and runs no method. :func:`diagnose_run` does so for the
+rows of a run that is far below what is expected of it.
 """
 
 from pytest_cpas.diagnosis.evidence import Evidence
 from pytest_cpas.diagnosis.mistakes import Mistake
 from pytest_cpas.diagnosis.running import diagnose_run
-from pytest_cpas.diagnosis.search import Finding, diagnose
+from pytest_cpas.diagnosis.search import Explanation, diagnose
 
-__all__ = ["Evidence", "Finding", "Mistake", "diagnose", "diagnose_run"]
+__all__ = ["Evidence", "Explanation", "Mistake", "diagnose", "diagnose_run"]

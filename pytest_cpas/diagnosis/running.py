@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from pytest_cpas.diagnosis.evidence import BOX_IOU, Evidence
-from pytest_cpas.diagnosis.search import Finding, diagnose
+from pytest_cpas.diagnosis.search import Explanation, diagnose
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.golden import RunTable
@@ -63,7 +63,7 @@ def is_far_below(table: RunTable, expected: Expected) -> bool:
 
 def diagnose_run(
     run: Run, rows: Sequence[Row], table: RunTable, expected: Expected
-) -> list[Finding]:
+) -> list[Explanation]:
     """What explains that a run is far below what is expected of it; empty if it is not.
 
     ``table`` is that of ``rows``.

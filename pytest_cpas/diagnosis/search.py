@@ -64,7 +64,7 @@ _MEASURES: dict[Part, str] = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class Explanation:
     """Mistakes that explain wrong answers of a ``category`` (or "all"), with the counts of samples
     correct ``before`` and ``after`` they are undone; ``ties`` names what would explain as much."""
 
@@ -99,38 +99,38 @@ class Finding:
         return lines
 
 
-def diagnose(evidence: Evidence) -> list[Finding]:
+def diagnose(evidence: Evidence) -> list[Explanation]:
     """What explains the wrong answers: of all samples, then of single categories, then of boxes.
 
-    Empty if nothing does. Pure; the same evidence gives the same findings.
+    Empty if nothing does. Pure; the same evidence gives the same explanations.
     """
-    findings, evidence = _explain_poses(evidence)
+    explanations, evidence = _explain_poses(evidence)
     for category in sorted(set(evidence.category.tolist())):
         part = evidence.of_category(category)
         if _share(part) >= 0.5:
             continue
         found = _explain(part, "pose", category) or _explain_flips(part, category)
         if found is not None:
-            findings.append(found)
+            explanations.append(found)
             chosen = evidence.category == category
             evidence = _with(evidence, chosen, _undone(part.answers, found.mistakes))
     box = _explain_boxes(evidence)
-    return findings if box is None else [*findings, box]
+    return explanations if box is None else [*explanations, box]
 
 
-def _explain_poses(evidence: Evidence) -> tuple[list[Finding], Evidence]:
+def _explain_poses(evidence: Evidence) -> tuple[list[Explanation], Evidence]:
     """Explain the poses as far as possible; where that fails, position or rotation alone."""
-    findings: list[Finding] = []
+    explanations: list[Explanation] = []
     parts: list[Part] = ["pose", "position", "rotation"]
     while parts:
         found = _explain(evidence, parts[0], "all")
         if found is None:
             parts.pop(0)
             continue
-        findings.append(found)
+        explanations.append(found)
         evidence = replace(evidence, answers=_undone(evidence.answers, found.mistakes))
         parts = ["pose"] if found.part == "pose" else ["pose", *parts[1:]]
-    return findings, evidence
+    return explanations, evidence
 
 
 def _undone(answers: Estimates, mistakes: Sequence[Mistake]) -> Estimates:
@@ -172,7 +172,7 @@ def _correct(
 # -- poses -----------------------------------------------------------------------------------
 
 
-def _explain(evidence: Evidence, part: Part, category: str) -> Finding | None:
+def _explain(evidence: Evidence, part: Part, category: str) -> Explanation | None:
     """The best explanation of a part of the poses, if it is believable."""
     if not len(evidence):
         return None
@@ -189,7 +189,7 @@ def _explain(evidence: Evidence, part: Part, category: str) -> Finding | None:
     return None
 
 
-def _explain_flips(evidence: Evidence, category: str) -> Finding | None:
+def _explain_flips(evidence: Evidence, category: str) -> Explanation | None:
     candidates = []
     for mistake in part_flips(evidence):
         correct = _correct(evidence, mistake.undo(evidence.answers), "pose")
@@ -200,7 +200,7 @@ def _explain_flips(evidence: Evidence, category: str) -> Finding | None:
 
 def _believed(
     evidence: Evidence, part: Part, category: str, best: _Best, tried: int
-) -> Finding | None:
+) -> Explanation | None:
     """The best of so many that were tried, if it is believable."""
     mistakes, ties = best
     before = _correct(evidence, evidence.answers, part)
@@ -211,7 +211,7 @@ def _believed(
         return None
     if fitted and not _general(evidence, before, after):
         return None
-    return Finding(
+    return Explanation(
         category,
         part,
         mistakes,
@@ -336,7 +336,7 @@ def _significant(correct: int, size: int, chance: float, tried: int) -> bool:
 # -- boxes -----------------------------------------------------------------------------------
 
 
-def _explain_boxes(evidence: Evidence) -> Finding | None:
+def _explain_boxes(evidence: Evidence) -> Explanation | None:
     """The best explanation of wrong extents, if it is believable."""
     given = finite(evidence.answers.extents)
     if not given.any():
@@ -361,4 +361,4 @@ def _explain_boxes(evidence: Evidence) -> Finding | None:
     if repaired <= correct:
         return None
     before_after = Count(correct, evidence.total), Count(repaired, evidence.total)
-    return Finding("all", "box", mistakes, *before_after, ties)
+    return Explanation("all", "box", mistakes, *before_after, ties)

@@ -14,7 +14,6 @@ from pytest_cpas.documents.counts import (
     CountDocument,
     CurveName,
     CurvesDocument,
-    ItemOutcome,
     PointDocument,
     PrecisionDocument,
     PublishedCountDocument,
@@ -48,6 +47,7 @@ from pytest_cpas.documents.speed import (
     SpeedVerdictDocument,
     StageDocument,
 )
+from pytest_cpas.types import ItemOutcome
 
 __all__ = [
     "AgainstDocument",

@@ -4,10 +4,6 @@ from typing import Annotated, Literal, TypedDict
 
 from pytest_cpas.documents._allowed import AboveZero, Natural, NotNegative, Positive
 
-#: Of a test item, a verdict, a run or a session. skipped: a verdict could not be given, and was not
-#: required.
-ItemOutcome = Literal["failed", "skipped", "passed"]
-
 #: What the threshold of a curve is on.
 CurveName = Literal["position_m", "rotation_deg", "fscore_1cm"]
 

@@ -3,8 +3,9 @@
 from typing import Annotated, Literal, TypedDict
 
 from pytest_cpas.documents._allowed import Allowed, Natural, NotNegative, Positive, Share
-from pytest_cpas.documents.counts import CurvesDocument, ItemOutcome, PrecisionDocument
+from pytest_cpas.documents.counts import CurvesDocument, PrecisionDocument
 from pytest_cpas.documents.speed import SpeedDocument
+from pytest_cpas.types import ItemOutcome
 
 #: A character for each joint threshold, in their order.
 _Outcomes = Annotated[str, Allowed(pattern="^[01-]{4}$")]
@@ -37,7 +38,7 @@ class CategoryDocument(TypedDict):
 class VerdictDocument(TypedDict):
     """The verdict on a category, or on all of them, against the golden table or the paper.
 
-    Made of :class:`pytest_cpas.golden.comparison.Verdict`.
+    Made of :class:`pytest_cpas.types.Verdict`.
     """
 
     word: str
@@ -49,7 +50,7 @@ class VerdictDocument(TypedDict):
 class FindingDocument(TypedDict):
     """A mistake that explains wrong answers, in a category or in all.
 
-    Made of :class:`pytest_cpas.diagnosis.Finding`.
+    Made of :class:`pytest_cpas.diagnosis.Explanation`.
     """
 
     category: str

@@ -10,7 +10,8 @@ from pytest_cpas.documents._allowed import (
     Positive,
     Share,
 )
-from pytest_cpas.documents.counts import ItemOutcome, PublishedTimeDocument
+from pytest_cpas.documents.counts import PublishedTimeDocument
+from pytest_cpas.types import ItemOutcome
 
 
 class IntervalDocument(TypedDict):
@@ -85,7 +86,7 @@ class ReferenceDocument(TypedDict):
 class SpeedVerdictDocument(TypedDict):
     """The verdict on the speed.
 
-    Made of :class:`pytest_cpas.timing.verdicts.Verdict`.
+    Made of :class:`pytest_cpas.types.Verdict`.
     """
 
     word: Literal[

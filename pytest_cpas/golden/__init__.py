@@ -7,7 +7,7 @@ the counts are checked against them on reading. What a table says about a run is
 :mod:`pytest_cpas.golden.comparison`.
 """
 
-from pytest_cpas.golden.comparison import Verdict, Word, compare
+from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.files import find_golden, orphans, read_golden, record, shipped_golden
 from pytest_cpas.golden.published import (
     PublishedCell,
@@ -28,6 +28,7 @@ from pytest_cpas.golden.tables import (
     differences,
     parse_golden,
 )
+from pytest_cpas.types import Verdict
 
 __all__ = [
     "FORMAT",

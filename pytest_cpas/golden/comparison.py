@@ -15,8 +15,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +22,7 @@ from numpy.typing import NDArray
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.golden.spread import FALSE_ALARMS, detectable_loss, fewer, more
 from pytest_cpas.golden.tables import RunTable, TableSample, differences
+from pytest_cpas.types import Verdict, VerdictWord
 
 #: Samples that a message names before it only counts the rest.
 _NAMED = 8
@@ -43,64 +42,36 @@ _SAME_RELATIVE, _SAME_ABSOLUTE = 1e-3, 1e-4
 CONFIDENCE = 0.95
 
 
-class Word(Enum):
+class Word(VerdictWord):
     """The verdict on one category of a run."""
 
     #: Every sample meets the same thresholds as when the table was recorded; of a table that was
     #: recorded under several seeds, as many as their spread allows.
-    MATCHES = "MATCHES"
+    MATCHES = "MATCHES", "passed"
     #: There is no recorded table, and the exact binomial interval of each count holds what the
     #: paper prints for this method and data set.
-    AGREES = "AGREES WITH THE PAPER"
+    AGREES = "AGREES WITH THE PAPER", "passed"
     #: The same, and an interval lies above what the paper prints.
-    ABOVE = "ABOVE THE PAPER"
+    ABOVE = "ABOVE THE PAPER", "passed"
     #: At some threshold more samples were lost than gained; they are named with their errors.
     #: Against the paper: an interval lies below what it prints.
-    REGRESSED = "REGRESSED"
+    REGRESSED = "REGRESSED", "failed"
     #: Samples were gained and none lost: look at it and record it.
-    IMPROVED = "IMPROVED"
+    IMPROVED = "IMPROVED", "failed"
     #: As many lost as gained, or other samples, or fewer than there were, or a metric is n/a that
     #: was not.
-    CHANGED = "CHANGED"
+    CHANGED = "CHANGED", "failed"
     #: The table was made with other data, weights, seed, device or metric definitions: not
     #: comparable.
-    STALE = "STALE"
+    STALE = "STALE", "failed"
     #: The table was edited by hand or is torn.
-    DAMAGED = "DAMAGED"
+    DAMAGED = "DAMAGED", "failed"
     #: There is no table, or only a part of the samples was judged (and agrees).
-    NOT_CHECKED = "NOT CHECKED"
+    NOT_CHECKED = "NOT CHECKED", "skipped", "failed"
     #: With --snapshot-update: the table was written.
-    RECORDED = "RECORDED"
+    RECORDED = "RECORDED", "passed"
     #: With --snapshot-update: it was not, for the reason that is given.
-    NOT_RECORDED = "NOT RECORDED"
-
-
-#: Verdicts that pass without reserve.
-GOOD = (Word.MATCHES, Word.AGREES, Word.ABOVE, Word.RECORDED)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The comparison of one category with its golden cells; ``details`` is for people."""
-
-    word: Word
-    category: str
-    details: str
-
-    @property
-    def failed(self) -> bool:
-        """Whether it fails the run. (NOT CHECKED fails it under --cpas-require-golden only.)"""
-        return self.word not in (*GOOD, Word.NOT_CHECKED)
-
-    def outcome(self, require_golden: bool) -> Literal["passed", "failed", "skipped"]:
-        """As what a test item would end; ``require_golden``: NOT CHECKED fails."""
-        if self.word is Word.NOT_CHECKED:
-            return "failed" if require_golden else "skipped"
-        return "failed" if self.failed else "passed"
-
-    def __str__(self) -> str:
-        subject = "" if self.category == "all" else f" {self.category}"
-        return f"{self.word.value}{subject}: {self.details}"
+    NOT_RECORDED = "NOT RECORDED", "failed"
 
 
 def compare(golden: RunTable | None, new: RunTable) -> list[Verdict]:

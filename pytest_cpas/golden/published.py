@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from itertools import chain
 
 from pytest_cpas.evaluation.predictions import STORED
-from pytest_cpas.golden.comparison import Verdict, Word
+from pytest_cpas.golden.comparison import Word
 from pytest_cpas.golden.files import shipped_golden
 from pytest_cpas.metrics.precision import Count, JointThreshold
+from pytest_cpas.types import Verdict
 
 #: Probability that a run that is as good as the published one is called worse.
 FALSE_ALARMS = 0.01

@@ -19,9 +19,10 @@ from syrupy.extensions.base import AbstractSyrupyExtension
 from syrupy.location import PyTestLocation
 from syrupy.types import SerializedData, SnapshotIndex
 
-from pytest_cpas.golden.comparison import GOOD, Verdict, compare
+from pytest_cpas.golden.comparison import compare
 from pytest_cpas.golden.files import find_golden, record
 from pytest_cpas.golden.tables import RunTable, parse_golden
+from pytest_cpas.types import Verdict
 
 
 def golden_folder(config: pytest.Config) -> Path:
@@ -94,7 +95,7 @@ class GoldenExtension(AbstractSyrupyExtension):
     def matches(self, *, serialized_data: SerializedData, snapshot_data: SerializedData) -> bool:
         """Whether every verdict is good."""
         verdicts = _verdicts(serialized_data, snapshot_data)
-        return all(verdict.word in GOOD for verdict in verdicts)
+        return all(verdict.passed for verdict in verdicts)
 
     def diff_lines(
         self, serialized_data: SerializedData, snapshot_data: SerializedData
@@ -102,7 +103,7 @@ class GoldenExtension(AbstractSyrupyExtension):
         """The verdicts that are not good, in words."""
         if snapshot_data:
             for verdict in _verdicts(serialized_data, snapshot_data):
-                if verdict.word not in GOOD:
+                if not verdict.passed:
                     yield from str(verdict).splitlines()
 
     @classmethod

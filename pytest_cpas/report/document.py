@@ -15,7 +15,7 @@ from typing import Final
 
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.diagnosis import Finding
+from pytest_cpas.diagnosis import Explanation
 from pytest_cpas.documents import (
     CategoryDocument,
     ContractDocument,
@@ -35,7 +35,6 @@ from pytest_cpas.documents import (
 )
 from pytest_cpas.evaluation import THRESHOLDS, Run, Table
 from pytest_cpas.golden import RunTable, TableSample, differences
-from pytest_cpas.golden.comparison import Verdict
 from pytest_cpas.golden.published import (
     PublishedCell,
     count_problems,
@@ -45,6 +44,7 @@ from pytest_cpas.golden.published import (
 )
 from pytest_cpas.metrics.precision import Count, curve
 from pytest_cpas.report.published import points, published_count, published_document
+from pytest_cpas.types import Verdict
 
 FORMAT: Final = 1
 
@@ -85,7 +85,7 @@ def run_document(
     verdicts: Sequence[Verdict] = (),
     require_golden: bool = False,
     contract: Iterable[ContractResult] = (),
-    findings: Sequence[Finding] = (),
+    findings: Sequence[Explanation] = (),
     golden: RunTable | None = None,
     speed: SpeedDocument | None = None,
     samples: bool = True,

@@ -15,9 +15,8 @@ from pytest_cpas._open3d import import_open3d
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.dataset.facts import ImageFacts, MeshFacts, SampleFacts, Survey
 from pytest_cpas.checks.dataset.verdicts import (
+    DatasetWord,
     KnownFault,
-    Verdict,
-    Word,
     judge,
     known_faults_file,
     read_known_faults,
@@ -26,20 +25,13 @@ from pytest_cpas.evaluation import Selection
 from pytest_cpas.evaluation.results import ResultsError, Shard
 from pytest_cpas.report.sphere_picture import draw_up_axes
 from pytest_cpas.report.terminal import print_survey
-from pytest_cpas.session.suite_session import Outcome, SuiteSession, report_outcome
-from pytest_cpas.types import ContractError, Dataset, SampleRef
+from pytest_cpas.session.suite_session import SuiteSession, report_outcome
+from pytest_cpas.types import ContractError, Dataset, SampleRef, Verdict
 
 __all__ = ["FOUND", "Checked", "DatasetSession"]
 
 #: Where an item keeps the survey of its own samples.
 FOUND = pytest.StashKey[Survey]()
-
-_OUTCOMES: dict[Word, Outcome] = {
-    Word.PASSED: "passed",
-    Word.FAILED: "failed",
-    Word.KNOWN: "xfailed",
-    Word.NOT_APPLICABLE: "skipped",
-}
 
 
 @dataclass(eq=False)
@@ -131,8 +123,9 @@ class DatasetSession(SuiteSession):
                 report_outcome(
                     session,
                     f"cpas-dataset::{name}[{checked.survey.name}]",
-                    _OUTCOMES[verdict.word],
-                    verdict.message or "there is nothing that it could judge",
+                    verdict.outcome(require_golden=False),
+                    verdict.details or "there is nothing that it could judge",
+                    known=verdict.word is DatasetWord.KNOWN,
                 )
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:

@@ -20,14 +20,14 @@ import pytest
 from pytest_cpas import registry
 from pytest_cpas.checks.contract import CONTRACT, ContractResult
 from pytest_cpas.datasets.perturbed import perturbation_of, perturbed
-from pytest_cpas.diagnosis import Finding
+from pytest_cpas.diagnosis import Explanation
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
 from pytest_cpas.documents import RunConditions, RunDocument, SpeedDocument
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection
 from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.evaluation.results import MergedRun, ResultsError, ResultsFile, Shard, merge
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
-from pytest_cpas.golden.comparison import GOOD, Verdict, Word, compare
+from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.published import compare_published, published_cells
 from pytest_cpas.golden.snapshot import golden_folder
 from pytest_cpas.report.against import against, pairs
@@ -45,6 +45,7 @@ from pytest_cpas.types import (
     DeclarationError,
     Method,
     MethodInfo,
+    Verdict,
     assets_of,
 )
 
@@ -191,7 +192,7 @@ class CpasSession(SuiteSession):
         table: RunTable,
         golden: RunTable | None = None,
         verdicts: Sequence[Verdict] = (),
-        findings: Sequence[Finding] = (),
+        findings: Sequence[Explanation] = (),
     ) -> RunDocument:
         return run_document(
             run,
@@ -284,9 +285,9 @@ def _verdicts(run: Run, table: RunTable, golden: RunTable | None) -> list[Verdic
     return compare(golden, table)
 
 
-def _explained(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
+def _explained(verdict: Verdict, findings: Sequence[Explanation]) -> Verdict:
     """A bad verdict with what explains it."""
-    if verdict.word in GOOD:
+    if verdict.passed:
         return verdict
     lines = [
         f"\n  {line}"

@@ -12,9 +12,9 @@ from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.session.method_session import CpasSession, cpas_session, make_method
 from pytest_cpas.session.suite_session import SuiteSession
 from pytest_cpas.timing.running import Plan, Rival, SpeedRun
-from pytest_cpas.timing.verdicts import Verdict, parse_limit
+from pytest_cpas.timing.verdicts import parse_limit
 from pytest_cpas.timing.workers import TimingError
-from pytest_cpas.types import ContractError
+from pytest_cpas.types import ContractError, Verdict
 
 #: Where an item keeps the document of what it measured.
 MEASURED = pytest.StashKey[SpeedDocument]()
@@ -63,10 +63,11 @@ class SpeedSession(SuiteSession):
 
     def speed_document(self, measured: MeasuredSpeedDocument, verdict: Verdict) -> SpeedDocument:
         """What was measured, with the verdict on it."""
+        word: Any = verdict.word.value  # of a SpeedWord
         return {
             **measured,
             "verdict": {
-                "word": verdict.word.value,
+                "word": word,
                 "details": verdict.details,
                 "outcome": self.outcome(verdict),
                 "limit": verdict.limit,

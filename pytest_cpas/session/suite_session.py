@@ -11,9 +11,7 @@ from typing import Any, Literal
 
 import pytest
 
-from pytest_cpas.types import SampleRef
-
-Outcome = Literal["passed", "failed", "skipped", "xfailed"]
+from pytest_cpas.types import ItemOutcome, SampleRef
 
 
 class SuiteSession(ABC):
@@ -94,12 +92,15 @@ def grouped(
 def report_outcome(
     session: pytest.Session,
     nodeid: str,
-    outcome: Outcome,
+    outcome: ItemOutcome,
     message: str,
+    *,
+    known: bool = False,
 ) -> None:
     """Report what is judged after the last item as if it were one.
 
-    Terminal, JUnit and exit code then agree. ``message``: why it did not pass.
+    Terminal, JUnit and exit code then agree. ``message``: why it did not pass. ``known``: what was
+    skipped is an expected failure (pytest's xfailed).
     """
     longrepr: Any = None
     if outcome == "failed":
@@ -118,11 +119,11 @@ def report_outcome(
             nodeid,
             location,
             keywords={},
-            outcome="passed" if not called else "skipped" if outcome == "xfailed" else outcome,
+            outcome=outcome if called else "passed",
             longrepr=longrepr if called else None,
             when=when,
         )
-        if called and outcome == "xfailed":
+        if called and known:
             report.wasxfail = message
         hook.pytest_runtest_logreport(report=report)
     hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)

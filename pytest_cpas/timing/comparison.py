@@ -10,7 +10,8 @@ from pathlib import Path
 from pytest_cpas.timing.intervals import LOOK_CONFIDENCE, Interval, median_interval
 from pytest_cpas.timing.measuring import Rounds
 from pytest_cpas.timing.records import SpeedRecord, incomparable, read_record
-from pytest_cpas.timing.verdicts import Verdict, Word, judge
+from pytest_cpas.timing.verdicts import SpeedWord, judge
+from pytest_cpas.types import Verdict
 
 
 class Comparison(ABC):
@@ -32,7 +33,7 @@ class Comparison(ABC):
 
     def undecided(self, rounds: Rounds) -> bool:
         """Whether further rounds may bring a verdict."""
-        return self.verdict(rounds).word is Word.UNDECIDED
+        return self.verdict(rounds).word is SpeedWord.UNDECIDED
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,9 @@ from pytest_cpas.timing.records import (
     record_path,
     write_record,
 )
-from pytest_cpas.timing.verdicts import Verdict, Word
+from pytest_cpas.timing.verdicts import SpeedWord
 from pytest_cpas.timing.workers import Adapter, Revision, Worker
-from pytest_cpas.types import MethodInfo, Observation
+from pytest_cpas.types import MethodInfo, Observation, Verdict
 
 #: A round has so many predictions that it takes at least as many seconds; the calibration kernel
 #: is repeated until it takes as long as a round, up to the second number.
@@ -114,7 +114,7 @@ class SpeedRun:
                 time_rounds(benchmark, rounds, looks, lambda _: True)
                 record = SpeedRecord.of(names, rounds.by_sample(), identity, provenance_of(on))
                 write_record(path, record)
-                verdict, slowdown = Verdict(Word.RECORDED, str(path), None), None
+                verdict, slowdown = Verdict(SpeedWord.RECORDED, "all", str(path)), None
             else:
                 comparison: Comparison = (
                     WithRival(reference.name, plan.limit)

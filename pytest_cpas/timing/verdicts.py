@@ -2,48 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
-from typing import Literal
-
 from pytest_cpas.timing.intervals import Interval, decide
+from pytest_cpas.types import Verdict, VerdictWord
 
 
-class Word(Enum):
+class SpeedWord(VerdictWord):
     """How a method's time compares."""
 
     #: The whole interval of the slow-down lies above what is allowed.
-    SLOWER = "SLOWER"
+    SLOWER = "SLOWER", "failed"
     #: The whole interval is within what is allowed.
-    NOT_SLOWER = "NOT SLOWER"
+    NOT_SLOWER = "NOT SLOWER", "passed"
     #: The same, and it is faster by more than the share that it may be slower by.
-    FASTER = "FASTER"
+    FASTER = "FASTER", "passed"
     #: The interval still holds what is allowed when the time for measuring is spent.
-    UNDECIDED = "UNDECIDED"
+    UNDECIDED = "UNDECIDED", "skipped", "failed"
     #: There is nothing to compare with, for the reason that is given.
-    NOT_COMPARED = "NOT COMPARED"
+    NOT_COMPARED = "NOT COMPARED", "skipped", "failed"
     #: Measured, and judged by nothing: there is no --cpas-benchmark-fail.
-    MEASURED = "MEASURED"
+    MEASURED = "MEASURED", "passed"
     #: With --snapshot-update: the ratio was written.
-    RECORDED = "RECORDED"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A word, and for people why; ``limit`` is the slow-down that is too much, if one was given."""
-
-    word: Word
-    details: str
-    limit: float | None
-
-    def outcome(self, require_golden: bool) -> Literal["passed", "failed", "skipped"]:
-        """As what the item ends; ``require_golden``: what could not be judged fails."""
-        if self.word in (Word.UNDECIDED, Word.NOT_COMPARED):
-            return "failed" if require_golden else "skipped"
-        return "failed" if self.word is Word.SLOWER else "passed"
-
-    def __str__(self) -> str:
-        return f"{self.word.value}: {self.details}"
+    RECORDED = "RECORDED", "passed"
 
 
 def judge(
@@ -54,26 +33,29 @@ def judge(
     Without a slow-down ``reference`` says why there is none. Without a limit nothing is judged.
     """
     if slowdown is None:
-        word = Word.MEASURED if limit is None else Word.NOT_COMPARED
-        return Verdict(word, reference, limit)
+        word = SpeedWord.MEASURED if limit is None else SpeedWord.NOT_COMPARED
+        return Verdict(word, "all", reference, limit)
     told = (
         f"{slowdown.median:.3g} times {reference} ({slowdown.lower:.3g} to {slowdown.upper:.3g}"
         f" with {100 * slowdown.confidence:.3g} % confidence, {quadruples} quadruples)"
     )
     if limit is None:
-        return Verdict(Word.MEASURED, f"{told}; not judged without --cpas-benchmark-fail", None)
+        return Verdict(
+            SpeedWord.MEASURED, "all", f"{told}; not judged without --cpas-benchmark-fail"
+        )
     found = decide(slowdown, limit)
     words = {
-        "slower": (Word.SLOWER, f"{told}; allowed are {limit:.4g} times"),
-        "not slower": (Word.NOT_SLOWER, f"{told}; allowed are {limit:.4g} times"),
-        "faster": (Word.FASTER, told),
+        "slower": (SpeedWord.SLOWER, f"{told}; allowed are {limit:.4g} times"),
+        "not slower": (SpeedWord.NOT_SLOWER, f"{told}; allowed are {limit:.4g} times"),
+        "faster": (SpeedWord.FASTER, told),
         "undecided": (
-            Word.UNDECIDED,
+            SpeedWord.UNDECIDED,
             f"{told}; the limit of {limit:.4g} times lies in between. Give the machine less else to"
             " do, or another limit",
         ),
     }
-    return Verdict(*words[found], limit)
+    word, details = words[found]
+    return Verdict(word, "all", details, limit)
 
 
 def parse_limit(text: str) -> float:

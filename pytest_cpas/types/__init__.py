@@ -31,6 +31,7 @@ from pytest_cpas.types.samples import (
     Sample,
     SampleRef,
 )
+from pytest_cpas.types.verdicts import ItemOutcome, Verdict, VerdictWord
 
 __all__ = [
     "CATEGORIES",
@@ -45,6 +46,7 @@ __all__ = [
     "DeclarationError",
     "GroundTruth",
     "Hypothesis",
+    "ItemOutcome",
     "Mesh",
     "Method",
     "MethodInfo",
@@ -54,6 +56,8 @@ __all__ = [
     "Sample",
     "SampleRef",
     "Symmetry",
+    "Verdict",
+    "VerdictWord",
     "assets_of",
     "raised_as",
 ]

@@ -12,7 +12,7 @@ from PIL import Image
 from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey, survey
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
-from pytest_cpas.checks.dataset.verdicts import KnownFault, Word, judge, read_known_faults
+from pytest_cpas.checks.dataset.verdicts import DatasetWord, KnownFault, judge, read_known_faults
 from pytest_cpas.datasets.nocs import NocsTree, Real275
 from pytest_cpas.datasets.synthetic import HANDHELD, TABLETOP, generate
 from pytest_cpas.types import Camera, ContractError, SampleRef
@@ -245,7 +245,7 @@ def test_half_extents(sane):
     assert list(found) == ["extents"]
     assert len(found["extents"]) == 12
     assert "are they half extents?" in str(found["extents"][0])
-    lines = judge(survey(Half(sane)), "extents").message.splitlines()
+    lines = judge(survey(Half(sane)), "extents").details.splitlines()
     assert len(lines) == 11
     assert lines[-1].startswith("and 2 more; of all 12: ")
     assert "mug_0 2" in lines[-1]
@@ -317,22 +317,22 @@ def test_known_faults_are_strict(tree):
     frame_twice(tree)
     measured = survey(Own(tree))
     entry = {"check": "duplicates", "reason": "the recorder stalled"}
-    assert judge(measured, "duplicates").word is Word.FAILED
+    assert judge(measured, "duplicates").word is DatasetWord.FAILED
     for patterns in ({}, {"sample": "scene_1/*"}, {"category": "bottle", "model": "bottle_?"}):
         verdict = judge(measured, "duplicates", [KnownFault(**entry, **patterns)])
-        assert verdict.word is Word.KNOWN
-        assert verdict.message.endswith("Known: the recorder stalled")
+        assert verdict.word is DatasetWord.KNOWN
+        assert verdict.details.endswith("Known: the recorder stalled")
     for patterns in ({"sample": "scene_2/*"}, {"category": "mug"}):
         verdict = judge(measured, "duplicates", [KnownFault(**entry, **patterns)])
-        assert verdict.word is Word.FAILED
-        assert "scene_1/0001/1 (bottle, bottle_0): its colour image" in verdict.message
-        assert "known fault does not happen any more" in verdict.message
+        assert verdict.word is DatasetWord.FAILED
+        assert "scene_1/0001/1 (bottle, bottle_0): its colour image" in verdict.details
+        assert "known fault does not happen any more" in verdict.details
     # the entry of another check says nothing, and a part of the samples does not disprove one
-    assert judge(measured, "depth", [KnownFault(**entry)]).word is Word.PASSED
+    assert judge(measured, "depth", [KnownFault(**entry)]).word is DatasetWord.PASSED
     depth = KnownFault("depth", "the lens is shiny", category="camera")
-    assert judge(measured, "depth", [depth]).word is Word.FAILED
+    assert judge(measured, "depth", [depth]).word is DatasetWord.FAILED
     part = survey(Own(tree), measured.refs[:3])
-    assert judge(part, "depth", [depth]).word is Word.PASSED
+    assert judge(part, "depth", [depth]).word is DatasetWord.PASSED
 
 
 @pytest.mark.parametrize(

@@ -27,14 +27,14 @@ from reference import PARTS
 from pytest_cpas import metrics
 from pytest_cpas.checks.contract import CONTRACT
 from pytest_cpas.checks.dataset import CHECKS
-from pytest_cpas.checks.dataset.verdicts import Word as DatasetWord
+from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.checks.metrics import KNOWN, PROPERTIES
 from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.cli import main
 from pytest_cpas.golden.comparison import Word
 from pytest_cpas.metrics import DEFINITIONS
-from pytest_cpas.timing.verdicts import Word as SpeedWord
+from pytest_cpas.timing.verdicts import SpeedWord
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BY_ENVIRONMENT = ("cpas_data", "cpas_weights")

@@ -27,7 +27,7 @@ from pytest_cpas.evaluation import MethodRun, Row, Run
 from pytest_cpas.evaluation.estimates import encode_estimate, encode_shape
 from pytest_cpas.evaluation.results import read_results
 from pytest_cpas.golden import RunTable, shipped_golden
-from pytest_cpas.golden.comparison import Verdict, Word, compare
+from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.published import published_name
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import document, run_document
@@ -45,6 +45,7 @@ from pytest_cpas.types import (
     Sample,
     SampleRef,
     Symmetry,
+    Verdict,
 )
 
 SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())

@@ -27,7 +27,7 @@ API: dict[str, tuple[str, ...]] = {
         "outcomes",
     ),
     "pytest_cpas.golden": ("RunTable", "TableSample", "GoldenError", "find_golden", "record"),
-    "pytest_cpas.golden.comparison": ("compare", "Verdict", "Word"),
+    "pytest_cpas.golden.comparison": ("compare", "Word"),
     "pytest_cpas.golden.published": ("published_cells", "published_curves", "compare_published"),
     "pytest_cpas.evaluation.predictions": ("StoredRun", "read_frames", "assign_detections"),
     "pytest_cpas.evaluation.results": (
@@ -42,7 +42,7 @@ API: dict[str, tuple[str, ...]] = {
     "pytest_cpas.checks.outcome": ("Outcome", "Finding"),
     "pytest_cpas.checks.contract": (),
     "pytest_cpas.checks.dataset": (),
-    "pytest_cpas.checks.dataset.verdicts": ("judge", "Verdict", "KnownFault"),
+    "pytest_cpas.checks.dataset.verdicts": ("judge", "DatasetWord", "KnownFault"),
     "pytest_cpas.checks.metrics": (),
     "pytest_cpas.diagnosis": (),
     "pytest_cpas.stages": ("stage",),

@@ -1,15 +1,14 @@
 """The words of verdicts, and exit codes."""
 
 import enum
-from collections.abc import Sequence
 
 import pytest
 
-from pytest_cpas.checks.dataset.verdicts import Word as DatasetWord
+from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.golden.comparison import Verdict, Word
-from pytest_cpas.timing.verdicts import Verdict as SpeedVerdict
-from pytest_cpas.timing.verdicts import Word as SpeedWord
+from pytest_cpas.golden.comparison import Word
+from pytest_cpas.timing.verdicts import SpeedWord
+from pytest_cpas.types import VerdictWord
 from reference.code import doc_comments
 from reference.markdown import code, table
 
@@ -23,26 +22,26 @@ _EXIT = {
 
 def golden_words() -> str:
     """The verdicts on a run."""
-    return _verdicts("verdict", [Verdict(word, "all", "") for word in Word])
+    return _verdicts("verdict", Word)
 
 
 def speed_words() -> str:
     """The verdicts on a method's speed."""
-    return _verdicts("verdict on speed", [SpeedVerdict(word, "", None) for word in SpeedWord])
+    return _verdicts("verdict on speed", SpeedWord)
 
 
-def _verdicts(head: str, verdicts: Sequence[Verdict] | Sequence[SpeedVerdict]) -> str:
+def _verdicts(head: str, words: type[VerdictWord]) -> str:
     """What each means, and what it alone makes a run end with."""
-    told = doc_comments(type(verdicts[0].word))
+    told = doc_comments(words)
     return table(
         [head, "meaning", "exit code", "with `--cpas-require-golden`"],
         (
             (
-                verdict.word.value,
-                told[verdict.word.name],
-                *(str(int(_EXIT[verdict.outcome(required)])) for required in (False, True)),
+                word.value,
+                told[word.name],
+                *(str(int(_EXIT[word.outcome(required)])) for required in (False, True)),
             )
-            for verdict in verdicts
+            for word in words
         ),
     )
 

@@ -18,15 +18,14 @@ import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from enum import Enum
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey
-from pytest_cpas.types import Dataset, DeclarationError
+from pytest_cpas.types import Dataset, DeclarationError, Verdict, VerdictWord
 
-__all__ = ["KnownFault", "Verdict", "Word", "judge", "known_faults_file", "read_known_faults"]
+__all__ = ["DatasetWord", "KnownFault", "judge", "known_faults_file", "read_known_faults"]
 
 #: So many problems of a check are named.
 _NAMED = 10
@@ -77,33 +76,24 @@ def read_known_faults(path: Path) -> list[KnownFault]:
         ) from error
 
 
-class Word(Enum):
-    """The outcome of a check."""
+class DatasetWord(VerdictWord):
+    """The verdict of a check."""
 
     #: No problem was found.
-    PASSED = "passed"
+    PASSED = "passed", "passed"
     #: A problem that is not known, or a known one that no longer happens: fails the run.
-    FAILED = "FAILED"
+    FAILED = "FAILED", "failed"
     #: All problems that were found are known faults (pytest's xfailed).
-    KNOWN = "known"
+    KNOWN = "known", "skipped"
     #: There is nothing that the check could judge (pytest's skipped).
-    NOT_APPLICABLE = "n/a"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The outcome of one check, and what there is to say about it."""
-
-    check: str
-    word: Word
-    message: str = ""
+    NOT_APPLICABLE = "n/a", "skipped"
 
 
 def judge(survey: Survey, check: str, known: Sequence[KnownFault] = ()) -> Verdict:
-    """Run one of the checks on what was measured."""
+    """Run one of the checks on what was measured; the verdict's subject is the check."""
     problems = CHECKS[check](survey)
     if problems is None:
-        return Verdict(check, Word.NOT_APPLICABLE)
+        return Verdict(DatasetWord.NOT_APPLICABLE, check)
     known = [fault for fault in known if fault.check == check]
     new = [p for p in problems if not any(fault.covers(p) for fault in known)]
     happened = [fault for fault in known if any(fault.covers(p) for p in problems)]
@@ -119,9 +109,9 @@ def judge(survey: Survey, check: str, known: Sequence[KnownFault] = ()) -> Verdi
             if fault not in happened
         ]
     if lines:
-        return Verdict(check, Word.FAILED, "\n".join(lines))
+        return Verdict(DatasetWord.FAILED, check, "\n".join(lines))
     if problems:
         reasons = "; ".join(fault.reason for fault in happened)
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        return Verdict(check, Word.KNOWN, f"{problems[0]}{more}. Known: {reasons}")
-    return Verdict(check, Word.PASSED)
+        return Verdict(DatasetWord.KNOWN, check, f"{problems[0]}{more}. Known: {reasons}")
+    return Verdict(DatasetWord.PASSED, check)

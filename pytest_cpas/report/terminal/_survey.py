@@ -10,8 +10,9 @@ import pytest
 
 from pytest_cpas.checks.dataset.facts import Survey
 from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
-from pytest_cpas.checks.dataset.verdicts import Verdict, Word
+from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.report.terminal._table import FEW, print_table
+from pytest_cpas.types import Verdict
 
 
 def print_survey(
@@ -22,13 +23,13 @@ def print_survey(
     for line in survey.missing:
         terminal.write_line(f"missing: {line}")
     for verdict in verdicts:
-        first, *rest = verdict.message.splitlines() or [""]
+        first, *rest = verdict.details.splitlines() or [""]
         more = f" (and {len(rest)} more lines above)" if rest else ""
         terminal.write_line(
-            f"{verdict.check:13} {verdict.word.value:7} {first}{more}".rstrip(),
-            red=verdict.word is Word.FAILED,
-            green=verdict.word is Word.PASSED,
-            yellow=verdict.word is Word.KNOWN,
+            f"{verdict.subject:13} {verdict.word.value:7} {first}{more}".rstrip(),
+            red=verdict.word is DatasetWord.FAILED,
+            green=verdict.word is DatasetWord.PASSED,
+            yellow=verdict.word is DatasetWord.KNOWN,
         )
     terminal.write_line("")
     if survey.samples:
@@ -41,7 +42,7 @@ def print_survey(
             f" {spread.coverage:.0%} of what {spread.count} uniform directions reach"
         )
     words = [verdict.word for verdict in verdicts]
-    counts = ", ".join(f"{words.count(word)} {word.value}" for word in Word if word in words)
+    counts = ", ".join(f"{words.count(word)} {word.value}" for word in DatasetWord if word in words)
     part = f" ({selected} selected)" if selected < len(survey.refs) else ""
     terminal.write_line(
         f"{survey.name}: {survey.examined} of {len(survey.refs)} samples{part} examined, with"
