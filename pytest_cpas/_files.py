@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from pathlib import Path
 
 import platformdirs
@@ -21,17 +22,26 @@ def toml_string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file as a whole or not at all; what UTF-8 does not have is written as an escape."""
-    write_bytes(path, text.encode("utf-8", "backslashreplace"))
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a file as a whole or not at all, even if the process is killed or the machine stops.
 
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file as a whole or not at all."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    Its folder is made. Text is UTF-8, its line ends as they are; what UTF-8 cannot say (a lone
+    surrogate) is written as its escape. Raises OSError, and then leaves what was there as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}")
     try:
-        unfinished.write_bytes(content)
+        write_through(unfinished, content)
         unfinished.replace(path)
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
+
+
+def write_through(path: Path, content: str | bytes) -> None:
+    """Write a file, and wait until the disk has it; on an error a part of it may be there."""
+    data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

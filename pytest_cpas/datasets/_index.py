@@ -13,7 +13,6 @@ import dataclasses
 import hashlib
 import json
 import os
-import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
@@ -21,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pytest_cpas._files import cache_folder
+from pytest_cpas._files import cache_folder, write_file
 from pytest_cpas.reading.images import image_size
 from pytest_cpas.reading.paths import names, parse_json, regular
 from pytest_cpas.types import ContractError, DataError, SampleRef
@@ -208,13 +207,4 @@ def _read_kept(file: Path, root: Path, recipe: str) -> Index | None:
 def _keep(file: Path, index: Index, stamps: Stamps, recipe: str) -> None:
     content = index._asdict()
     content["samples"] = [dataclasses.astuple(ref) for ref in index.samples]
-    text = json.dumps({**content, "stamps": stamps, "recipe": recipe})
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=file.parent, delete=False) as unfinished:
-        try:
-            unfinished.write(text)
-            unfinished.flush()
-            os.replace(unfinished.name, file)
-        except OSError:
-            os.unlink(unfinished.name)
-            raise
+    write_file(file, json.dumps({**content, "stamps": stamps, "recipe": recipe}))

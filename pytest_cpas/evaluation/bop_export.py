@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
+from pytest_cpas._files import write_file
 from pytest_cpas.datasets.bop import find_models, find_split, object_number, read_models
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.evaluation.results import ResultsError, read_results
@@ -43,8 +42,5 @@ def export_bop(results: Path, data: Path, target: Path) -> int:
         scene, image, _ = row.sample.split("/")
         r, t = (" ".join(f"{v:.9g}" for v in values) for values in (rotation.ravel(), origin))
         lines.append(f"{int(scene)},{int(image)},{number},1,{r},{t},-1")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=target.parent, delete=False) as unfinished:
-        unfinished.write("\n".join(lines) + "\n")
-    os.replace(unfinished.name, target)
+    write_file(target, "\n".join(lines) + "\n")
     return len(rows)

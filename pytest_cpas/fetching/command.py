@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import filelock
 
 from pytest_cpas import registry
-from pytest_cpas._files import write_text
+from pytest_cpas._files import write_file
 from pytest_cpas.datasets.sources import Source, SourceFile, published_sources
 from pytest_cpas.fetching.download import (
     Checksums,
@@ -163,7 +163,7 @@ def _fetch_file(file: SourceFile, folder: Path, kept: Path, tell: Callable[[str]
             f"{archive}: unpacked to {folder / file.unpack}, but {folder / file.gives} is not"
             f" there; has {file.url} been published anew?"
         )
-    write_text(kept / f"{name}.unpacked", digest)
+    write_file(kept / f"{name}.unpacked", digest)
     tell(f"{name}: {count} files unpacked; {archive} may be removed")
 
 

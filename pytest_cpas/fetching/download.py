@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas._files import write_text
+from pytest_cpas._files import write_file
 
 #: Seconds to wait for a connection, and for the next bytes.
 TIMEOUT = (30, 60)
@@ -54,7 +54,7 @@ class Checksums:
     def record(self, name: str, digest: str) -> None:
         """Remember a sum, on disk before this returns."""
         self._known[name] = digest
-        write_text(self.path, "".join(f"{d}  {n}\n" for n, d in sorted(self._known.items())))
+        write_file(self.path, "".join(f"{d}  {n}\n" for n, d in sorted(self._known.items())))
 
 
 def sha256(path: Path) -> str:
@@ -174,7 +174,7 @@ class _Resuming:
                 raise FetchError(f"{url}: {total - start} bytes are to come, {free} are free")
             if start == 0:  # first the bytes go: a part must never bear the name of a later version
                 self._part.unlink(missing_ok=True)
-                self._note.write_text(_version(answer.headers))
+                self._note.write_file(_version(answer.headers))
             with (
                 self._part.open("ab" if start else "wb") as file,
                 tqdm(

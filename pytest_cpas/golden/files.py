@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import re
 from pathlib import Path
 
 import filelock
 
-from pytest_cpas._files import cache_folder
+from pytest_cpas._files import cache_folder, write_through
 from pytest_cpas.golden.tables import GoldenError, RunTable, _digest, _parse
 
 __all__ = ["find_golden", "orphans", "read_golden", "record", "shipped_golden"]
@@ -87,8 +86,8 @@ def _write(folder: Path, table: RunTable) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            _save(waiting, samples)
-            _save(new, cells)
+            write_through(waiting, samples.encode())
+            write_through(new, cells.encode())
             new.replace(folder / "table.toml")
         except BaseException:
             waiting.unlink(missing_ok=True)
@@ -103,13 +102,6 @@ def _write(folder: Path, table: RunTable) -> None:
 
 def _waiting(folder: Path, digest: str) -> Path:
     return folder / f".samples-{digest}.csv"
-
-
-def _save(path: Path, text: str) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def read_golden(folder: Path) -> RunTable:

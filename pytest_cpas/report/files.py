@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from pytest_cpas._files import write_text
+from pytest_cpas._files import write_file
 from pytest_cpas.documents import Document
 from pytest_cpas.report.export import precision_csv, precision_tex
 from pytest_cpas.report.markdown import markdown
@@ -24,9 +24,8 @@ def write_report(
 
     Raises :class:`OSError` if a disk does not take them.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-    write_text(folder / "report.md", markdown(document))
-    write_text(folder / "precision.csv", precision_csv(document))
-    write_text(folder / "precision.tex", precision_tex(document))
-    write_text(folder / "report.html", page(document, pictures))
+    write_file(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_file(folder / "report.md", markdown(document))
+    write_file(folder / "precision.csv", precision_csv(document))
+    write_file(folder / "precision.tex", precision_tex(document))
+    write_file(folder / "report.html", page(document, pictures))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
-from pytest_cpas._files import write_bytes
+from pytest_cpas._files import write_file
 from pytest_cpas.checks.dataset.orientations import lambert, up_axis_spread
 from pytest_cpas.report.sphere import DIRECTIONS, RINGS, STRONGER
 from pytest_cpas.types import Array
@@ -49,8 +49,7 @@ def draw_up_axes(up_axes: Mapping[str, Array], path: Path) -> Path:
     small = picture.resize((size[0] // _SCALE, size[1] // _SCALE), Image.Resampling.LANCZOS)
     content = io.BytesIO()
     small.save(content, format="PNG")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, content.getvalue())
+    write_file(path, content.getvalue())
     return path
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas._files import toml_string, write_text
+from pytest_cpas._files import toml_string, write_file
 from pytest_cpas.documents import MachineDocument
 from pytest_cpas.golden import differences
 from pytest_cpas.timing.intervals import (
@@ -168,7 +168,6 @@ def read_record(path: Path) -> SpeedRecord | None:
 def write_record(path: Path, record: SpeedRecord) -> None:
     """Write the file as a whole or not at all; :class:`RecordError` if that fails."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, record.toml())
+        write_file(path, record.toml())
     except OSError as error:
         raise RecordError(f"{path}: the ratio cannot be recorded ({error})") from error

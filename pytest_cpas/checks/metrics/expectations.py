@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from pytest_cpas._files import write_text
+from pytest_cpas._files import write_file
 from pytest_cpas.checks.metrics.running import Result, adapter_module
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.types import DeclarationError
@@ -65,7 +65,7 @@ def write_expectations(path: Path, results: Iterable[Result]) -> int:
         parts.append(f"message = {_text(result.message)}")
         parts.append(f"case = {_text(result.case)}")
         parts.append(f"snippet = {_text(result.snippet)}\n")
-    write_text(path, "\n".join(parts))
+    write_file(path, "\n".join(parts))
     return len(failed)
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas._files import write_text
+from pytest_cpas._files import write_file
 from pytest_cpas.checks.metrics.properties import PROPERTIES
 from pytest_cpas.checks.metrics.running import Result
 from pytest_cpas.checks.outcome import Outcome
@@ -93,9 +93,8 @@ def as_markdown(matrix: Matrix) -> str:
 
 def write_matrix(path: Path, matrix: Matrix) -> None:
     """Write JSON or Markdown, by the file's ending."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     render = as_markdown if path.suffix == ".md" else as_json
-    write_text(path, render(matrix))
+    write_file(path, render(matrix))
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
