@@ -14,7 +14,7 @@ from pytest_cpas.registry import registered
 _TEMPLATES = {
     "{module}.py": "method.py.template",
     "test_{module}.py": "test_method.py.template",
-    "{name}.expectations.toml": "expectations.toml.template",
+    "{name}.known.toml": "known.toml.template",
 }
 
 

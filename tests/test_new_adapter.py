@@ -133,9 +133,7 @@ def test_names_that_are_refused(pytester, capsys, name, words):
     assert not (pytester.path / "new").exists()
 
 
-@pytest.mark.parametrize(
-    "file", ["my_method.py", "test_my_method.py", "my-method.expectations.toml"]
-)
+@pytest.mark.parametrize("file", ["my_method.py", "test_my_method.py", "my-method.known.toml"])
 def test_nothing_is_overwritten(pytester, capsys, file):
     (pytester.path / file).write_text("mine")
     assert main(["new-adapter", "my-method", "--to", str(pytester.path)]) == 1

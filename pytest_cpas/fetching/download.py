@@ -174,7 +174,7 @@ class _Resuming:
                 raise FetchError(f"{url}: {total - start} bytes are to come, {free} are free")
             if start == 0:  # first the bytes go: a part must never bear the name of a later version
                 self._part.unlink(missing_ok=True)
-                self._note.write_file(_version(answer.headers))
+                self._note.write_text(_version(answer.headers))
             with (
                 self._part.open("ab" if start else "wb") as file,
                 tqdm(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import functools
 import inspect
-import tomllib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +19,17 @@ from pytest_cpas.checks.contract import (
     MethodSubject,
     check_contract,
 )
+from pytest_cpas.checks.known import gone, known_failures
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.diagnosis import diagnose_run
 from pytest_cpas.evaluation import MethodError, MethodRun, SampleError, Selection
 from pytest_cpas.golden import RunTable
-from pytest_cpas.types import ContractError, DeclarationError, Method, Sample, SampleRef
+from pytest_cpas.types import ContractError, Sample, SampleRef
 
 __all__ = [
     "ContractStage",
-    "KnownViolation",
     "Stage",
     "StoredStage",
-    "known_violations",
     "smoke_samples",
 ]
 
@@ -40,36 +38,6 @@ SMOKE_SAMPLES = 4
 
 #: Samples on which the usual mistakes are tried if the adapter is wrong.
 EXPLAINED_SAMPLES = 12
-
-
-@dataclass(frozen=True)
-class KnownViolation:
-    """A contract check that a method fails, and why that stays."""
-
-    check: str
-    reason: str
-
-
-def known_violations(method: Method) -> dict[str, KnownViolation]:
-    """The ``[[contract]]`` entries of ``NAME.expectations.toml`` beside the method's module.
-
-    By check; empty if there is no file. :class:`DeclarationError` if it is damaged.
-    """
-    path = Path(inspect.getfile(type(method))).with_name(f"{method.info.name}.expectations.toml")
-    if not path.is_file():
-        return {}
-    try:
-        entries = tomllib.loads(path.read_text(encoding="utf-8")).get("contract", [])
-        known = {entry["check"]: KnownViolation(**entry) for entry in entries}
-    except (tomllib.TOMLDecodeError, TypeError, KeyError, AttributeError) as error:
-        raise DeclarationError(
-            f"{path}: expected [[contract]] entries with check and reason ({error!r})"
-        ) from error
-    unknown = sorted(known.keys() - CONTRACT.keys())
-    if unknown or not all(entry.reason.strip() for entry in known.values()):
-        seen = f"there is no check {', '.join(unknown)}" if unknown else "an entry has no reason"
-        raise DeclarationError(f"{path}: {seen}; the checks are {', '.join(CONTRACT)}")
-    return known
 
 
 def smoke_samples(run: MethodRun, count: int = SMOKE_SAMPLES) -> list[Sample]:
@@ -116,7 +84,10 @@ class ContractStage:
     def __init__(self, run: MethodRun) -> None:
         """Read what is known; :class:`DeclarationError` if that file is damaged."""
         self.run = run
-        self.known = known_violations(run.unloaded)
+        method = run.unloaded
+        folder = Path(inspect.getfile(type(method))).parent
+        known = known_failures(folder, method.info.name, "contract", CONTRACT)
+        self.known = {failure.check: failure for failure in known}
         #: Whether the checks are among the items of the session; if not, they stop nothing.
         self.asked = False
         self._results: dict[str, ContractResult] = {}
@@ -142,7 +113,7 @@ class ContractStage:
             if known is not None and result.violated:
                 message = f"{known.reason} {result.message}"
                 result = replace(result, known=True, message=message)
-            elif known is not None and self.complete:
+            elif known is not None and gone([known], [], complete=self.complete):
                 result = replace(result, known=True)
             self._results[check.name] = result
         return self._results[check.name]

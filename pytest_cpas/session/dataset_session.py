@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Generator
 from dataclasses import asdict, dataclass, field
@@ -14,13 +15,8 @@ from pytest_cpas import registry
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.dataset.facts import ImageFacts, MeshFacts, SampleFacts, Survey
-from pytest_cpas.checks.dataset.verdicts import (
-    DatasetWord,
-    KnownFault,
-    judge,
-    known_faults_file,
-    read_known_faults,
-)
+from pytest_cpas.checks.dataset.verdicts import DatasetWord, judge
+from pytest_cpas.checks.known import KnownFailure, known_failures, read_known
 from pytest_cpas.evaluation import Selection
 from pytest_cpas.evaluation.results import ResultsError, Shard
 from pytest_cpas.report.sphere_picture import draw_up_axes
@@ -44,7 +40,7 @@ class Checked:
     dataset: Dataset
     refs: list[SampleRef]
     survey: Survey
-    known: list[KnownFault]
+    known: list[KnownFailure]
     verdicts: list[Verdict] = field(default_factory=list)
     meshes: set[str] = field(default_factory=set)
 
@@ -143,10 +139,10 @@ class DatasetSession(SuiteSession):
 
 
 def _checked(dataset: Dataset, selection: Selection, files: list[Path]) -> Checked:
-    own = known_faults_file(dataset)
-    known = read_known_faults(own) if own.is_file() else []
+    folder = Path(inspect.getfile(type(dataset))).parent
+    known = known_failures(folder, dataset.name, "dataset", CHECKS)
     for path in files:
-        known += read_known_faults(path)
+        known += read_known(path, "dataset", CHECKS)
     return Checked(dataset, selection.of(dataset.samples), Survey.of(dataset), known)
 
 

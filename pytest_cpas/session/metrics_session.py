@@ -7,14 +7,10 @@ from typing import Any
 
 import pytest
 
+from pytest_cpas.checks.known import KnownFailure
 from pytest_cpas.checks.metrics import PROPERTIES, Result, Subject, load_subject
-from pytest_cpas.checks.metrics.expectations import (
-    Expectation,
-    expectations_file,
-    read_expectations,
-    write_expectations,
-)
 from pytest_cpas.checks.metrics.matrix import Cell, aligned, as_table, write_matrix
+from pytest_cpas.checks.metrics.recorded import known_of, record
 from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.registry import RegistryError
@@ -47,17 +43,16 @@ class MetricsSession(SuiteSession):
             self.subjects: list[Subject] = [
                 load_subject(name) for name in dict.fromkeys(options.cpas_metrics)
             ]
-            self.expected: dict[str, dict[str, Expectation]] = {
-                subject.name: read_expectations(expectations_file(subject.name))
-                for subject in self.subjects
+            self.known: dict[str, dict[str, KnownFailure]] = {
+                subject.name: known_of(subject.name) for subject in self.subjects
             }
         except (RegistryError, ContractError) as error:
             raise pytest.UsageError(str(error)) from error
         self.matrix: dict[str, dict[str, Cell]] = {subject.name: {} for subject in self.subjects}
 
-    def expectation(self, subject: Subject, name: str) -> Expectation | None:
+    def known_failure(self, subject: Subject, name: str) -> KnownFailure | None:
         """The recorded violation of a property, unless violations are recorded anew."""
-        return None if self.update else self.expected[subject.name].get(name)
+        return None if self.update else self.known[subject.name].get(name)
 
     def found(self, item: pytest.Item) -> Any:
         """An item's result, and whether it is the recorded one."""
@@ -99,7 +94,6 @@ class MetricsSession(SuiteSession):
     def _record(
         self, terminalreporter: pytest.TerminalReporter, name: str, cells: dict[str, Cell]
     ) -> None:
-        path = expectations_file(name)
         if len(cells) < len(PROPERTIES):
             terminalreporter.write_line(
                 f"NOT RECORDED: {len(cells)} of {len(PROPERTIES)} properties of {name} were"
@@ -107,5 +101,9 @@ class MetricsSession(SuiteSession):
                 red=True,
             )
             return
-        count = write_expectations(path, (cell.result for cell in cells.values()))
+        try:
+            count, path = record(name, (cell.result for cell in cells.values()))
+        except ContractError as error:
+            terminalreporter.write_line(f"NOT RECORDED: {error}", red=True)
+            return
         terminalreporter.write_line(f"recorded {count} violations of {name} in {path}")

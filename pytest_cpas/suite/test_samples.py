@@ -63,8 +63,8 @@ def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest
         pytest.xfail(f"known: {result.message}")
     if result.known:
         pytest.fail(
-            f"{check.name} is a known violation of {run.method}, but it holds; remove its entry"
-            f" from {run.method}.expectations.toml",
+            f"{check.name} is a known violation of {run.method}, but it holds; remove its"
+            " [[contract]] entry from the known failures beside the method",
             pytrace=False,
         )
     if result.wrong:

@@ -14,6 +14,7 @@ import faults
 import numpy as np
 import pytest
 
+from pytest_cpas.checks.known import read_known
 from pytest_cpas.checks.metrics import (
     KNOWN,
     PROPERTIES,
@@ -24,7 +25,7 @@ from pytest_cpas.checks.metrics import (
     replay,
 )
 from pytest_cpas.checks.metrics.exact import shared_volume
-from pytest_cpas.checks.metrics.expectations import expectations_file, read_expectations
+from pytest_cpas.checks.metrics.recorded import known_of
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.metric_subjects.cpas import METRICS
 from pytest_cpas.types import ContractError
@@ -272,8 +273,8 @@ def test_violations_are_reported(adapter, pytester, how):
 def test_violations_are_recorded_and_strict(adapter, pytester):
     wrong = "2 * right(a, b)"
     assert adapter(wrong, "--snapshot-update").ret == 0
-    recorded = read_expectations(pytester.path / "lab" / "mine.violations.toml")
-    assert "chamfer.by_brute_force" in recorded
+    recorded = read_known(pytester.path / "lab" / "mine.known.toml", "metric", PROPERTIES)
+    assert "chamfer.by_brute_force" in {failure.check for failure in recorded}
 
     result = adapter(wrong)
     assert result.ret == 0
@@ -323,15 +324,16 @@ def test_recorded_violations_of_peers(name):
     """What is known is written down; where the peer is installed, it still happens."""
     module = f"pytest_cpas.metric_subjects.{name}"
     folder = Path(__file__).parents[2] / "pytest_cpas" / "metric_subjects"
-    recorded = read_expectations(folder / f"{name}.violations.toml")
+    known = read_known(folder / f"{name}.known.toml", "metric", PROPERTIES)
+    recorded = {failure.check: failure for failure in known}
     for prop, (outcome, words) in PEERS[name].items():
         assert recorded[prop].outcome is outcome
-        assert words in recorded[prop].message
+        assert words in recorded[prop].reason
     needed = {"open3d": "open3d", "trimesh": "manifold3d"}.get(name, name)
     if find_spec(needed) is None:
         pytest.skip(f"{needed} is not installed; nox -s peers installs it")
     subject = load_subject(module)
-    assert expectations_file(module) == folder / f"{name}.violations.toml"
+    assert known_of(module) == recorded
     for prop in PEERS[name]:
         assert (
             replay(subject, PROPERTIES[prop], recorded[prop].case).outcome is recorded[prop].outcome

@@ -12,10 +12,11 @@ from PIL import Image
 from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey, survey
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
-from pytest_cpas.checks.dataset.verdicts import DatasetWord, KnownFault, judge, read_known_faults
+from pytest_cpas.checks.dataset.verdicts import DatasetWord, judge
+from pytest_cpas.checks.known import KnownFailure
 from pytest_cpas.datasets.nocs import NocsTree, Real275
 from pytest_cpas.datasets.synthetic import HANDHELD, TABLETOP, generate
-from pytest_cpas.types import Camera, ContractError, SampleRef
+from pytest_cpas.types import Camera, SampleRef
 
 CAMERA = HANDHELD.camera
 STEM = Path("real_test/scene_1/0000_depth.png")
@@ -319,39 +320,20 @@ def test_known_faults_are_strict(tree):
     entry = {"check": "duplicates", "reason": "the recorder stalled"}
     assert judge(measured, "duplicates").word is DatasetWord.FAILED
     for patterns in ({}, {"sample": "scene_1/*"}, {"category": "bottle", "model": "bottle_?"}):
-        verdict = judge(measured, "duplicates", [KnownFault(**entry, **patterns)])
+        verdict = judge(measured, "duplicates", [KnownFailure(**entry, **patterns)])
         assert verdict.word is DatasetWord.KNOWN
         assert verdict.details.endswith("Known: the recorder stalled")
     for patterns in ({"sample": "scene_2/*"}, {"category": "mug"}):
-        verdict = judge(measured, "duplicates", [KnownFault(**entry, **patterns)])
+        verdict = judge(measured, "duplicates", [KnownFailure(**entry, **patterns)])
         assert verdict.word is DatasetWord.FAILED
         assert "scene_1/0001/1 (bottle, bottle_0): its colour image" in verdict.details
         assert "known fault does not happen any more" in verdict.details
     # the entry of another check says nothing, and a part of the samples does not disprove one
-    assert judge(measured, "depth", [KnownFault(**entry)]).word is DatasetWord.PASSED
-    depth = KnownFault("depth", "the lens is shiny", category="camera")
+    assert judge(measured, "depth", [KnownFailure(**entry)]).word is DatasetWord.PASSED
+    depth = KnownFailure(check="depth", reason="the lens is shiny", category="camera")
     assert judge(measured, "depth", [depth]).word is DatasetWord.FAILED
     part = survey(Own(tree), measured.refs[:3])
     assert judge(part, "depth", [depth]).word is DatasetWord.PASSED
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[[fault]]\ncheck = 'deph'\nreason = 'x'", "check 'deph', expected one of readable"),
-        ("[[fault]]\ncheck = 'depth'", "reason"),
-        ("[[fault]]\ncheck = 'depth'\nreason = ' '", "no reason is given"),
-        ("[[fault]]\ncheck = 'depth'\nreason = 'x'\nmesh = 'y'", "mesh"),
-        ("fault = 3", "not a list of known faults"),
-        ("[[fault", "not a list of known faults"),
-    ],
-)
-def test_damaged_known_faults(tmp_path, text, words):
-    path = tmp_path / "x.known.toml"
-    path.write_text(text)
-    with pytest.raises(ContractError, match="not a list of known faults") as caught:
-        read_known_faults(path)
-    assert words in str(caught.value)
 
 
 # -- the real frame -----------------------------------------------------------------------------

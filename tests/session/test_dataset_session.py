@@ -53,7 +53,7 @@ def check(pytester, monkeypatch, tree):
 
 def known(pytester, **entry: str) -> None:
     text = "\n".join(f"{key} = '{value}'" for key, value in entry.items())
-    (pytester.path / "held.known.toml").write_text(f"[[fault]]\n{text}")
+    (pytester.path / "held.known.toml").write_text(f"[[dataset]]\n{text}")
 
 
 @pytest.mark.parametrize("how", [(), ("-n2",), ("--cpas-granularity=scene",)], ids=" ".join)
@@ -105,7 +105,7 @@ def test_known_fault_that_is_gone_fails_a_complete_run(check, pytester):
 
 
 def test_known_faults_of_ones_own(check, pytester):
-    (pytester.path / "ours.toml").write_text("[[fault]]\ncheck = 'depth'\nreason = 'seen it'")
+    (pytester.path / "ours.toml").write_text("[[dataset]]\ncheck = 'depth'\nreason = 'seen it'")
     result = check("--cpas-known-faults=ours.toml")
     assert result.ret == 0
     result.stdout.fnmatch_lines(["depth *known *Known: seen it"])
@@ -133,7 +133,7 @@ def test_part_of_the_samples(check):
     [
         (("--cpas-check-dataset=real276",), "Did you mean 'real275'?"),
         (("--cpas-check-dataset=real275", "--cpas-data=nowhere"), "nowhere"),
-        (("--cpas-known-faults=nowhere.toml",), "nowhere.toml: not a list of known faults"),
+        (("--cpas-known-faults=nowhere.toml",), "nowhere.toml: known failures cannot be read"),
         (("--cpas-category=mug",), "held: no samples to check"),
     ],
 )

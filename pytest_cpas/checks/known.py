@@ -1,0 +1,208 @@
+"""Failures that are known and stay, as data beside what is checked: ``NAME.known.toml``.
+
+::
+
+    [[contract]]                        # a check of the method NAME
+    check = "extents_of_shape"
+    reason = "Size and shape are separate heads; nothing makes the shape fill its box."
+
+    [[dataset]]                         # a check of the data set NAME
+    check = "depth"
+    model = "can_arizona_tea_norm"      # optional, as are sample and category: patterns (* and ?)
+    reason = "The depth measured on this can is 14 mm nearer than its mesh."
+
+    [[metric]]                          # a property of the adapter NAME, by --snapshot-update
+    check = "box_iou.touching"
+    outcome = "raised"
+    reason = "raised QhullError"        # what was seen
+    case = '{"first": [1, 1, 1]}'       # the counterexample, which is tried again
+    snippet = "subject('box_iou', ...)" # its calls
+
+A known failure is reported and does not fail the run. It must happen: one that a complete run does
+not come across fails it. Tables of other names are for people.
+"""
+
+from __future__ import annotations
+
+import tomllib
+import warnings
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal
+
+from pytest_cpas._files import write_file
+from pytest_cpas.checks.outcome import Outcome
+from pytest_cpas.types import DeclarationError
+
+__all__ = ["KnownFailure", "gone", "known_failures", "read_known", "record_known"]
+
+Kind = Literal["contract", "dataset", "metric"]
+
+#: What an entry has beside check and reason.
+_PATTERNS = ("sample", "model", "category")
+_RECORDED = ("outcome", "case", "snippet")
+
+#: What is known of a method and of an implementation of metrics had files of its own before.
+_OLD_FILES: dict[Kind, str] = {
+    "contract": "{}.expectations.toml",
+    "metric": "{}.violations.toml",
+}
+#: Tables as they were called, and keys of their entries.
+_OLD_TABLES: dict[Kind, str] = {"dataset": "fault", "metric": "violation"}
+_OLD_KEYS = {"property": "check", "message": "reason"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownFailure:
+    """That ``check`` fails, and why that stays: the ``reason``.
+
+    Of a data set's check: problems that match the patterns ``sample``, ``model``, ``category``. Of
+    a metric's property: with which ``outcome`` for which ``case`` (JSON); ``snippet`` shows the
+    calls, ``reason`` is what was seen.
+    """
+
+    check: str
+    reason: str
+    sample: str = "*"
+    model: str = "*"
+    category: str = "*"
+    outcome: Outcome = Outcome.VIOLATED
+    case: str = ""
+    snippet: str = ""
+
+    def covers(self, problem: object) -> bool:
+        """Whether the ``sample``, ``model`` and ``category`` of a problem match the patterns."""
+        return all(fnmatchcase(getattr(problem, key), getattr(self, key)) for key in _PATTERNS)
+
+    def __str__(self) -> str:
+        patterns = [f"{key} {value}" for key in _PATTERNS if (value := getattr(self, key)) != "*"]
+        return " ".join([self.check, *patterns])
+
+
+def gone(
+    known: Iterable[KnownFailure], happened: Collection[KnownFailure], *, complete: bool
+) -> list[KnownFailure]:
+    """Those that must have happened and did not: of a ``complete`` run, all others."""
+    return [failure for failure in known if complete and failure not in happened]
+
+
+def known_failures(
+    folder: Path, name: str, kind: Kind, checks: Collection[str]
+) -> list[KnownFailure]:
+    """What is known of ``name``, whose module is in ``folder``; nothing if there is no file.
+
+    As :func:`read_known`. The file of an older version is read with a FutureWarning.
+    """
+    path = folder / f"{name}.known.toml"
+    if kind in _OLD_FILES:
+        old = folder / _OLD_FILES[kind].format(name)
+        if old.is_file() and path.is_file():
+            raise DeclarationError(f"{old}: {path.name} is there as well; move its entries there")
+        if old.is_file():
+            warnings.warn(
+                f"{old}: what is known is kept in {path.name}; rename the file",
+                FutureWarning,
+                stacklevel=2,
+            )
+            path = old
+    return read_known(path, kind, checks) if path.is_file() else []
+
+
+def read_known(path: Path, kind: Kind, checks: Collection[str]) -> list[KnownFailure]:
+    """The entries of a kind in a file, which may name these ``checks``.
+
+    Raises :class:`DeclarationError` for a file that cannot be read and an entry that is wrong.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DeclarationError(f"{path}: known failures cannot be read ({error})") from error
+    entries = _tables(path, content, kind)
+    known: list[KnownFailure] = []
+    for number, entry in enumerate(entries, start=1):
+        try:
+            known.append(_parse(entry, kind, checks))
+            if kind != "dataset" and [each.check for each in known].count(known[-1].check) > 1:
+                raise ValueError(f"check {known[-1].check!r} is there twice")
+        except ValueError as error:
+            raise DeclarationError(f"{path}: [[{kind}]] entry {number}: {error}") from error
+    return known
+
+
+def _tables(path: Path, content: dict[str, Any], kind: Kind) -> list[Any]:
+    tables = [content.get(kind, [])]
+    old = _OLD_TABLES.get(kind)
+    if old in content:
+        tables.append(content[old])
+        instead = ", ".join(f"{new} for {key}" for key, new in _OLD_KEYS.items())
+        warnings.warn(
+            f"{path}: write [[{kind}]] for [[{old}]]"
+            + (f", {instead}; or record them anew with --snapshot-update" * (kind == "metric")),
+            FutureWarning,
+            stacklevel=4,
+        )
+    if not all(isinstance(table, list) for table in tables):
+        raise DeclarationError(f"{path}: {kind} is no list of tables; write [[{kind}]] above each")
+    return [entry for table in tables for entry in table]
+
+
+def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:
+    """Raises ValueError."""
+    needed = ("check", "reason", *(_RECORDED if kind == "metric" else ()))
+    possible = (*needed, *(_PATTERNS if kind == "dataset" else ()))
+    if not isinstance(entry, dict) or not all(isinstance(text, str) for text in entry.values()):
+        raise ValueError(f"{entry!r}, expected {', '.join(needed)} as text")
+    if kind == "metric":
+        entry = {_OLD_KEYS.get(key, key): text for key, text in entry.items()}
+    missing = [key for key in needed if not entry.get(key, "").strip()]
+    if missing:
+        raise ValueError(f"{' and '.join(missing)} missing, expected {', '.join(needed)}")
+    if unknown := sorted(entry.keys() - set(possible)):
+        raise ValueError(f"{', '.join(unknown)}, expected some of {', '.join(possible)}")
+    if entry["check"] not in checks:
+        raise ValueError(
+            f"there is no check {entry['check']!r}; the checks are {', '.join(checks)}"
+        )
+    if kind == "metric":
+        entry["outcome"] = Outcome(entry["outcome"])
+    return KnownFailure(**entry)
+
+
+def record_known(folder: Path, name: str, recorded: Sequence[KnownFailure]) -> Path:
+    """Write what was seen of the implementation of metrics ``name``; returns the file's path.
+
+    The file is removed if nothing is known. Raises :class:`DeclarationError`, with nothing written, if
+    it holds what was not recorded.
+    """
+    path = folder / f"{name}.known.toml"
+    if path.is_file():
+        others = tomllib.loads(path.read_text(encoding="utf-8")).keys() - {"metric", "violation"}
+        if others:
+            raise DeclarationError(f"{path}: it holds {', '.join(sorted(others))} as well; move them")
+    if recorded:
+        parts = ["# Recorded by pytest --cpas-metrics NAME --snapshot-update\n"]
+        for failure in recorded:
+            lines = [
+                f"{key} = {_text(getattr(failure, key))}"
+                for key in ("check", "outcome", "reason", "case", "snippet")
+            ]
+            parts += ["[[metric]]", *lines[:-1], f"{lines[-1]}\n"]
+        write_file(path, "\n".join(parts))
+    else:
+        path.unlink(missing_ok=True)
+    (folder / _OLD_FILES["metric"].format(name)).unlink(missing_ok=True)
+    return path
+
+
+def _text(text: str) -> str:
+    """A TOML string: literal where possible."""
+    if "\n" in text and "'''" not in text:
+        return f"'''\n{text}'''"
+    if "'" not in text and text.isprintable():
+        return f"'{text}'"
+    escaped = "".join(
+        char if char.isprintable() and char not in '"\\' else f"\\u{ord(char):04x}" for char in text
+    )
+    return f'"{escaped}"'
