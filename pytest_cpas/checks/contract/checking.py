@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,6 +34,7 @@ __all__ = [
     "CONTRACT",
     "ContractCheck",
     "ContractResult",
+    "FirstAnswers",
     "MethodSubject",
     "NotCheckedError",
     "check_contract",
@@ -46,10 +47,36 @@ class NotCheckedError(Exception):
     """Why a check could not look at anything."""
 
 
-class MethodSubject:
-    """A loaded method, and the samples that it is checked on.
+class _Call(NamedTuple):
+    """The answers to a batch, and what the call changed."""
 
-    Every call gets its own writable copies of the arrays, and the same global random state.
+    answers: list[Prediction]
+    changed_inputs: list[str]
+    changed_state: list[str]
+
+
+@dataclass(frozen=True)
+class FirstAnswers:
+    """The answers to the samples, asked for one by one before any check asks for more.
+
+    ``finding``: what is wrong with the first one that breaks the contract; ``answers`` end before
+    it. ``again``: what is wrong when the last one is asked for again. ``changed_inputs``: arrays of
+    observations that were changed; ``changed_state``: owners of global random states that were.
+    """
+
+    answers: tuple[Prediction, ...]
+    finding: Finding | None
+    again: Finding | None
+    changed_inputs: frozenset[str]
+    changed_state: frozenset[str]
+
+
+class MethodSubject:
+    """A loaded method, the samples that it is checked on, and its answers to them.
+
+    Every call gets its own writable copies of the arrays, and the same global random state. The
+    answers and what was seen while they were made are facts that all checks share; nothing is kept
+    of the calls that a check makes itself.
     """
 
     def __init__(
@@ -63,52 +90,63 @@ class MethodSubject:
         """``fresh``: gives another instance of the method, loaded."""
         self.method, self.samples, self.seed, self.fresh = method, samples, seed, fresh
         self.info: MethodInfo = method.info
-        #: What calls did to what they were given, and to the global random state.
-        self.changed_inputs: list[str] = []
-        self.changed_state: list[str] = []
-        self._answers: list[Prediction] = []
-        self._broken: Finding | None = None
 
     @property
     def observations(self) -> list[Observation]:
         """What the method sees of the samples."""
         return [sample.observation for sample in self.samples]
 
-    def answers(self) -> list[Prediction]:
-        """The answer to each observation alone, in order; computed once.
+    @functools.cached_property
+    def first(self) -> FirstAnswers:
+        """The answer to each observation alone, in order, and to the last one again; made once.
 
-        Raises :class:`NotCheckedError` if one breaks the contract: that is :meth:`first_answers`'
-        finding.
+        :class:`NotCheckedError` if there are no samples.
         """
-        try:
-            return self.first_answers()
-        except Finding:
-            raise NotCheckedError("there are no valid answers to look at") from None
-
-    def first_answers(self) -> list[Prediction]:
-        """The same; raises :class:`Finding`."""
         if not self.samples:
             raise NotCheckedError("no sample can be read")
-        if not self._answers and self._broken is None:
-            try:
-                self._answers = [self.predict([each])[0] for each in self.observations]
-            except Finding as finding:
-                self._broken = finding
-        if self._broken is not None:
-            raise self._broken
-        return self._answers
+        calls: list[_Call] = []
+        finding = again = None
+        try:
+            calls += [self._call([each], self.method, 0) for each in self.observations]
+        except Finding as broken:
+            finding = broken
+        else:
+            again = self._asked_again(calls[-1].answers[0])
+        return FirstAnswers(
+            tuple(answer for call in calls for answer in call.answers),
+            finding,
+            again,
+            frozenset(name for call in calls for name in call.changed_inputs),
+            frozenset(name for call in calls for name in call.changed_state),
+        )
 
-    @functools.cached_property
-    def noise(self) -> str:
-        """How the answer to the last sample differs when it is asked for again; else empty."""
-        again = self.predict(self.observations[-1:])[0]
-        return difference(again, self.answers()[-1], self.info.tolerance)
+    def _asked_again(self, last: Prediction) -> Finding | None:
+        try:
+            again = self.predict(self.observations[-1:])[0]
+            seen = difference(again, last, self.info.tolerance)
+        except Finding as broken:
+            return broken
+        advice = (
+            "the same seed gave another answer: make a generator from the passed seed in every"
+            f" call of predict, and keep no counter, clock or generator between ({seen})"
+        )
+        return Finding(Outcome.VIOLATED, advice) if seen else None
 
-    def repeated_answers(self) -> list[Prediction]:
+    def answers(self) -> Sequence[Prediction]:
+        """The answer to each observation alone, in order.
+
+        :class:`NotCheckedError` if one breaks the contract: that is the finding of the check
+        `answers`.
+        """
+        if self.first.finding:
+            raise NotCheckedError("there are no valid answers to look at")
+        return self.first.answers
+
+    def repeated_answers(self) -> Sequence[Prediction]:
         """As :meth:`answers`, to compare others with; :class:`NotCheckedError` for a method that
         does not repeat them."""
         answers = self.answers()
-        if self.noise:
+        if self.first.again:
             raise NotCheckedError("asked twice, the method gives two answers: see repeatable")
         return answers
 
@@ -131,6 +169,9 @@ class MethodSubject:
 
         ``random_state`` seeds the global random states, which are put back afterwards.
         """
+        return self._call(batch, method or self.method, random_state).answers
+
+    def _call(self, batch: Sequence[Observation], method: Method, random_state: int) -> _Call:
         given = [
             Observation(
                 category=o.category,
@@ -141,22 +182,21 @@ class MethodSubject:
             )
             for o in batch
         ]
-        with _global_random_state(random_state) as changed:
+        with _global_random_state(random_state) as changed_state:
             try:
-                answers = (method or self.method).predict(given, self.seed)
+                answers = method.predict(given, self.seed)
             except ContractError as error:
                 raise Finding(Outcome.VIOLATED, str(error)) from None
             except Exception as error:
                 *_, last = traceback.extract_tb(error.__traceback__)
                 where = f"{last.filename}, line {last.lineno}"
                 raise Finding(Outcome.RAISED, f"predict raised {error!r} at {where}") from error
-        self.changed_state += changed
-        for before, after in zip(batch, given, strict=True):
-            self.changed_inputs += [
-                name
-                for name in ("rgb", "depth", "mask")
-                if not np.array_equal(getattr(before, name), getattr(after, name))
-            ]
+        changed_inputs = [
+            name
+            for before, after in zip(batch, given, strict=True)
+            for name in ("rgb", "depth", "mask")
+            if not np.array_equal(getattr(before, name), getattr(after, name))
+        ]
         try:
             if not isinstance(answers, Sequence) or len(answers) != len(batch):
                 count = len(answers) if isinstance(answers, Sequence) else type(answers).__name__
@@ -164,9 +204,10 @@ class MethodSubject:
                     f"predict: {count} for a batch of {len(batch)}; return one Prediction for each"
                     " observation, in order"
                 )
-            return [check_answers([answer], self.info) for answer in answers]
+            valid = [check_answers([answer], self.info) for answer in answers]
         except ContractError as error:
             raise Finding(Outcome.VIOLATED, str(error)) from None
+        return _Call(valid, changed_inputs, changed_state)
 
     def same(self, prediction: Prediction, expected: Prediction, advice: str) -> None:
         """Expect the same answer within the declared tolerance; ``advice`` says what to do."""

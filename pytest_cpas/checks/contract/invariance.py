@@ -50,12 +50,8 @@ def _several(subject: MethodSubject) -> int:
 def check_repeatable(subject: MethodSubject) -> None:
     """The same observation and seed give the same answer, twice in a row."""
     subject.answers()
-    if subject.noise:
-        raise Finding(
-            Outcome.VIOLATED,
-            "the same seed gave another answer: make a generator from the passed seed in every"
-            f" call of predict, and keep no counter, clock or generator between ({subject.noise})",
-        )
+    if subject.first.again:
+        raise subject.first.again
 
 
 @contract(demanded=_deterministic)
@@ -73,8 +69,8 @@ def check_global_random_state(subject: MethodSubject) -> None:
 def check_global_random_state_untouched(subject: MethodSubject) -> None:
     """A call neither draws from the global random states nor seeds them."""
     subject.answers()
-    if subject.changed_state:
-        names = ", ".join(sorted(set(subject.changed_state)))
+    if subject.first.changed_state:
+        names = ", ".join(sorted(subject.first.changed_state))
         raise Finding(
             Outcome.DREW_GLOBAL_RANDOM,
             f"predict draws from or seeds the global state of {names}: what runs after it changes;"
