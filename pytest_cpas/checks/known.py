@@ -173,14 +173,16 @@ def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:
 def record_known(folder: Path, name: str, recorded: Sequence[KnownFailure]) -> Path:
     """Write what was seen of the implementation of metrics ``name``; returns the file's path.
 
-    The file is removed if nothing is known. Raises :class:`DeclarationError`, with nothing written, if
-    it holds what was not recorded.
+    The file is removed if nothing is known. Raises :class:`DeclarationError`, with nothing written,
+    if it holds what was not recorded.
     """
     path = folder / f"{name}.known.toml"
     if path.is_file():
         others = tomllib.loads(path.read_text(encoding="utf-8")).keys() - {"metric", "violation"}
         if others:
-            raise DeclarationError(f"{path}: it holds {', '.join(sorted(others))} as well; move them")
+            raise DeclarationError(
+                f"{path}: it holds {', '.join(sorted(others))} as well; move them"
+            )
     if recorded:
         parts = ["# Recorded by pytest --cpas-metrics NAME --snapshot-update\n"]
         for failure in recorded:
