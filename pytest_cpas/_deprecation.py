@@ -26,8 +26,8 @@ MOVED: dict[str, tuple[str, str]] = {
         "pytest_cpas.evaluation.bop_export",
     ),
     "pytest_cpas.checks.dataset.report": (
-        "pytest_cpas.report.dataset",
-        "pytest_cpas.report.dataset",
+        "pytest_cpas.report.sphere_picture",
+        "pytest_cpas.report.sphere_picture",
     ),
     "pytest_cpas.comparison": ("pytest_cpas.golden.comparison", "pytest_cpas.golden"),
     "pytest_cpas.estimates": ("pytest_cpas.evaluation.estimates", "pytest_cpas.evaluation"),

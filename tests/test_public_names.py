@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 import warnings
@@ -22,6 +23,7 @@ DOCUMENTED = {
     "pytest_cpas.predictions": ("StoredRun", "read_frames", "assign_detections"),
     "pytest_cpas.results": ("read_results", "Results", "Header", "Shard", "merge", "ResultsError"),
     "pytest_cpas.robustness": ("perturbed",),
+    "pytest_cpas.checks.dataset.report": ("draw_up_axes",),
     "pytest_cpas.fetch": ("FetchError", "fetch", "find_source"),
 }
 
@@ -136,3 +138,11 @@ def test_deprecated_functions_tell_their_callers():
         == "old_name() is deprecated, and goes in pytest-cpas 7.0: write new_name()"
     )
     assert "old_name()" in Path(__file__).read_text().splitlines()[warning.lineno - 1]
+
+
+def test_page_lists_the_old_paths():
+    page = (ROOT / "docs" / "stability.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| `(pytest_cpas\.[\w.]+)` \| `(pytest_cpas\.[\w.]+)` \|$", page, re.MULTILINE
+    )
+    assert rows == [(old, public) for old, (_, public) in MOVED.items()]

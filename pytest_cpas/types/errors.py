@@ -30,13 +30,14 @@ class DeclarationError(ContractError):
 
 @contextmanager
 def raised_as(kind: type[ContractError]) -> Generator[None]:
-    """Raise a :class:`ContractError` that does not say whose value it is as ``kind``.
+    """Raise every :class:`ContractError` of this block as ``kind``, with its message.
 
-    The message stays; a subclass passes as it is. Also decorates a function.
+    For where it is known whose value is looked at, whatever the value says itself. Also decorates
+    a function.
     """
     try:
         yield
     except ContractError as error:
-        if type(error) is not ContractError:
+        if isinstance(error, kind):
             raise
         raise kind(*error.args).with_traceback(error.__traceback__) from error.__cause__

@@ -15,6 +15,7 @@ from pytest_cpas.types import (
     Camera,
     ContractError,
     DataError,
+    DeclarationError,
     GroundTruth,
     Hypothesis,
     Mesh,
@@ -179,9 +180,22 @@ def test_what_a_method_builds_while_it_predicts_is_its_own():
     assert is_told_of_answer(judged(Crops(), tiny.Tiny(None)))
 
 
-def test_a_side_that_is_known_is_not_renamed():
-    with pytest.raises(DataError, match="depth"), raised_as(AnswerError):
-        raise DataError("depth")
+def test_the_border_decides():
+    """Also over a data set that builds answers, or reads declarations, while it reads a sample."""
+    for error in (AnswerError, DeclarationError, DataError, ContractError):
+
+        def damage(sample, error=error):
+            raise error("torn")
+
+        assert judged(tiny.Perfect(), Damaged(damage)).endswith(": the data is bad: torn")
+
+
+def test_error_that_is_of_the_kind_stays_the_same():
+    class Torn(DataError):
+        """What a data set of somebody's raises."""
+
+    with pytest.raises(Torn, match="depth"), raised_as(DataError):
+        raise Torn("depth")
 
 
 def test_message_and_cause_stay():
