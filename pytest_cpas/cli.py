@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _report(path: Path, to: Path, others: Sequence[Path]) -> int:
-    from pytest_cpas.evaluation.results import ResultsError
+    from pytest_cpas.evaluation import ResultsError
     from pytest_cpas.report.against import against
     from pytest_cpas.report.files import write_report
     from pytest_cpas.report.stored import StoredReportError, read_report, read_runs
@@ -132,8 +132,8 @@ def _new_adapter(known: argparse.Namespace) -> int:
 
 
 def _export_bop(known: argparse.Namespace) -> int:
+    from pytest_cpas.evaluation import ResultsError
     from pytest_cpas.evaluation.bop_export import export_bop
-    from pytest_cpas.evaluation.results import ResultsError
     from pytest_cpas.types import ContractError
 
     try:

@@ -12,15 +12,24 @@ import io
 import json
 import re
 import zlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 from pytest_cpas.evaluation.rows import Row
-from pytest_cpas.evaluation.runs import Run, SampleError, has_quick_truth, read_truth
-from pytest_cpas.types import Dataset, GroundTruth, SampleRef
+from pytest_cpas.evaluation.runs import Run
+from pytest_cpas.types import SampleRef
+
+__all__ = [
+    "Header",
+    "Results",
+    "ResultsError",
+    "ResultsFile",
+    "Shard",
+    "header_differences",
+    "read_results",
+]
 
 FORMAT = 4
 
@@ -170,7 +179,7 @@ class ResultsFile:
         self._file: io.RawIOBase | None = None
         if self.path.exists():
             found = read_results(self.path)
-            differences = _differences(found.header, self.header)
+            differences = header_differences(found.header, self.header)
             if differences:
                 raise ResultsError(
                     f"{self.path} holds another run: {'; '.join(differences)}. Remove it, or name"
@@ -225,7 +234,8 @@ class ResultsFile:
             ) from error
 
 
-def _differences(found: Header, expected: Header) -> list[str]:
+def header_differences(found: Header, expected: Header) -> list[str]:
+    """In what the runs differ that two results files belong to; empty for the same run."""
     old, new = asdict(found), asdict(expected)
     lines = []
     for key in old:
@@ -236,95 +246,3 @@ def _differences(found: Header, expected: Header) -> list[str]:
         elif before != now:
             lines.append(f"{key} was {before}, now {now}")
     return lines
-
-
-class MergedRun(Run):
-    """The results of all shards of a run, judged as one."""
-
-    def __init__(self, parts: Sequence[Results]) -> None:
-        """Put results together that :func:`merge` has checked."""
-        header = parts[0].header
-        self._rows = {sample: row for part in parts for sample, row in part.rows.items()}
-        self._errors = {sample: text for part in parts for sample, text in part.errors.items()}
-        refs = [ref for part in parts for ref in part.refs.values()]
-        samples = sorted(refs, key=lambda ref: ref.id)
-        super().__init__(
-            header.method,
-            header.dataset,
-            samples,
-            missing=header.missing,
-            damaged=header.damaged,
-            identity=header.identity,
-        )
-        self.listed = Counter(header.listed)
-        self.provenance = header.provenance
-        self.seeds = header.seeds
-        self.under_contract = header.under_contract
-        #: What the checks of the contract found, shard by shard.
-        self.contract = [part.contract for part in parts]
-        #: The data set that was judged, if it is at hand.
-        self.images: Dataset | None = None
-
-    def take_images(self, dataset: Dataset) -> None:
-        """Have the samples themselves, for pictures; :class:`ResultsError` if the data differs."""
-        if dataset.digest != self.identity.get("data"):
-            raise ResultsError(
-                f"{self.method} on {self.dataset} was judged on other data:"
-                f" {self.identity.get('data')}, now {dataset.digest}; leave out --cpas-dataset"
-            )
-        self.images, self.quick_truth = dataset, has_quick_truth(dataset)
-
-    def truth(self, ref: SampleRef) -> GroundTruth | None:
-        """The truth about one sample, if the data set is at hand."""
-        return None if self.images is None else read_truth(self.images, ref)
-
-    def judge(self, ref: SampleRef) -> Row:
-        """The stored row; raises the stored error."""
-        if ref.id in self._errors:
-            raise SampleError(self._errors[ref.id])
-        return self._rows[ref.id]
-
-
-def merge(paths: Sequence[Path], *, allow_gaps: bool = False) -> list[MergedRun]:
-    """The runs whose shards are in ``paths``, one per method and data set.
-
-    Raises :class:`ResultsError` for shards of different runs or conditions, for samples that are
-    in two files and, unless ``allow_gaps``, for shards or samples that are in none.
-    """
-    groups: dict[tuple[str, str], list[Results]] = {}
-    for path in paths:
-        results = read_results(path)
-        groups.setdefault((results.header.method, results.header.dataset), []).append(results)
-    for parts in groups.values():
-        _check_shards(parts, allow_gaps)
-    return [MergedRun(parts) for parts in groups.values()]
-
-
-def _check_shards(parts: Sequence[Results], allow_gaps: bool) -> None:
-    first = parts[0]
-    seen: dict[str, Path] = {}
-    shards: dict[int, Path] = {}
-    for part in parts:
-        shard, count = Shard.parse(part.header.shard), Shard.parse(first.header.shard).count
-        same = replace(part.header, shard=first.header.shard, selected=first.header.selected)
-        differences = _differences(first.header, same)
-        if shard.count != count:
-            differences.append(f"shards are {count}, now {shard.count}")
-        if differences:
-            raise ResultsError(
-                f"{first.path} and {part.path} are of different runs: {'; '.join(differences)}"
-            )
-        if shard.index in shards:
-            raise ResultsError(f"{shards[shard.index]} and {part.path} are both shard {shard}")
-        shards[shard.index] = part.path
-        for sample in (*part.rows, *part.errors):
-            if sample in seen:
-                raise ResultsError(f"sample {sample} is in {seen[sample]} and in {part.path}")
-            seen[sample] = part.path
-    gaps = [f"shard {i}/{count} is missing" for i in range(1, count + 1) if i not in shards]
-    for part in parts:
-        done = len(part.rows) + len(part.errors)
-        if done < part.header.selected:
-            gaps.append(f"{part.path} has {done} of its {part.header.selected} samples")
-    if gaps and not allow_gaps:
-        raise ResultsError(f"{'; '.join(gaps)}. Run what is missing, or pass --cpas-allow-gaps")

@@ -13,9 +13,8 @@ from PIL import Image, ImageDraw
 
 from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.documents import AgainstDocument, FlipDocument, RunDocument, SampleDocument
-from pytest_cpas.evaluation import MethodRun, Row, Run
+from pytest_cpas.evaluation import MergedRun, MethodRun, Row, Run
 from pytest_cpas.evaluation.estimates import decode_estimates
-from pytest_cpas.evaluation.results import MergedRun
 from pytest_cpas.report.reconstruction import (
     ESTIMATE_COLOUR,
     GROUND,

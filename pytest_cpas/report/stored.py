@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import cast
 
 from pytest_cpas.documents import Document, RunDocument
-from pytest_cpas.evaluation import THRESHOLDS, Row, SampleError
-from pytest_cpas.evaluation.results import MergedRun, merge
+from pytest_cpas.evaluation import THRESHOLDS, MergedRun, Row, SampleError, merge
 from pytest_cpas.golden import RunTable
 from pytest_cpas.report.document import FORMAT, run_document
 

@@ -24,8 +24,9 @@ from pytest_cpas.diagnosis import Explanation
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
 from pytest_cpas.documents import RunConditions, RunDocument, SpeedDocument
 from pytest_cpas.evaluation import MethodRun, Row, Run, Selection
+from pytest_cpas.evaluation.merging import MergedRun, merge
 from pytest_cpas.evaluation.predictions import StoredRun
-from pytest_cpas.evaluation.results import MergedRun, ResultsError, ResultsFile, Shard, merge
+from pytest_cpas.evaluation.results import ResultsError, ResultsFile, Shard
 from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, record
 from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.published import compare_published, published_cells

@@ -9,7 +9,7 @@ import pytest
 import tiny
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.evaluation import MethodRun, read_results
 from pytest_cpas.evaluation.estimates import (
     SHAPE_POINTS,
     decode_estimates,
@@ -17,7 +17,6 @@ from pytest_cpas.evaluation.estimates import (
     encode_estimate,
     encode_shape,
 )
-from pytest_cpas.evaluation.results import read_results
 from pytest_cpas.types import Hypothesis, Mesh
 
 TURN = Rotation.from_rotvec([0.3, -1.2, 2.0]).as_matrix()

@@ -14,7 +14,7 @@ from harness import RUN
 
 from pytest_cpas.checks.contract import CONTRACT
 from pytest_cpas.cli import main
-from pytest_cpas.evaluation.results import Shard, merge, read_results
+from pytest_cpas.evaluation import Shard, merge, read_results
 
 
 def table(result: pytest.RunResult) -> list[str]:

@@ -23,9 +23,8 @@ from tables import GOLDEN, REFS, Fixed, a_run, a_speed, rows
 import pytest_cpas.report
 from pytest_cpas.cli import main
 from pytest_cpas.datasets.nocs import Real275
-from pytest_cpas.evaluation import MethodRun, Row, Run
+from pytest_cpas.evaluation import MethodRun, Row, Run, read_results
 from pytest_cpas.evaluation.estimates import encode_estimate, encode_shape
-from pytest_cpas.evaluation.results import read_results
 from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.published import published_name
