@@ -22,7 +22,14 @@ from pytest_cpas.checks.contract import (
 from pytest_cpas.checks.known import gone, known_failures
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.diagnosis import diagnose_run
-from pytest_cpas.evaluation import MethodError, MethodRun, SampleError, Selection
+from pytest_cpas.evaluation import (
+    MergedRun,
+    MethodError,
+    MethodRun,
+    Run,
+    SampleError,
+    Selection,
+)
 from pytest_cpas.golden import RunTable
 from pytest_cpas.types import ContractError, Sample, SampleRef
 
@@ -30,6 +37,7 @@ __all__ = [
     "ContractStage",
     "Stage",
     "StoredStage",
+    "contract_stages",
     "smoke_samples",
 ]
 
@@ -88,8 +96,6 @@ class ContractStage:
         folder = Path(inspect.getfile(type(method))).parent
         known = known_failures(folder, method.info.name, "contract", CONTRACT)
         self.known = {failure.check: failure for failure in known}
-        #: Whether the checks are among the items of the session; if not, they stop nothing.
-        self.asked = False
         self._results: dict[str, ContractResult] = {}
 
     @functools.cached_property
@@ -126,8 +132,6 @@ class ContractStage:
     @property
     def wrong(self) -> str:
         """Why the samples need not be judged: the smoke checks that the method fails."""
-        if not self.asked:
-            return ""
         results = [self.result(check) for check in CONTRACT.values() if check.smoke]
         return "; ".join(
             f"{result.check}: {result.message}"
@@ -152,14 +156,13 @@ class StoredStage:
     """The same of merged shards: of each check, the worst that a shard has found."""
 
     #: As of :class:`ContractStage`; the shards have judged their samples, so nothing is stopped.
-    asked = False
     wrong = ""
 
     def __init__(self, shards: Sequence[Mapping[str, Mapping[str, Any]]]) -> None:
         """From what each shard stored, by check."""
-        found = [ContractResult(**result) for shard in shards for result in shard.values()]
-        found.sort(key=lambda result: (result.violated, not result.known))
-        self._results = {result.check: result for result in found}
+        results = [ContractResult(**result) for shard in shards for result in shard.values()]
+        results.sort(key=lambda result: (result.violated, not result.known))
+        self._results = {result.check: result for result in results}
 
     def result(self, check: ContractCheck) -> ContractResult | None:
         """What the shards found; None if none of them ran the check."""
@@ -172,3 +175,12 @@ class StoredStage:
 
 
 Stage = ContractStage | StoredStage
+
+
+def contract_stages(runs: Sequence[Run]) -> dict[Run, Stage]:
+    """The contract of each run that has one; :class:`DeclarationError` for a damaged file."""
+    return {
+        run: StoredStage(run.contract) if isinstance(run, MergedRun) else ContractStage(run)
+        for run in runs
+        if isinstance(run, MergedRun | MethodRun) and run.under_contract
+    }

@@ -14,7 +14,8 @@ from pytest_cpas.checks.metrics.recorded import known_of, record
 from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.registry import RegistryError
-from pytest_cpas.session.suite_session import SuiteSession
+from pytest_cpas.session.options import MetricsOptions
+from pytest_cpas.session.suite_session import SuiteSession, usage_errors
 from pytest_cpas.types import ContractError
 
 __all__ = ["RESULT", "MetricsSession"]
@@ -29,43 +30,36 @@ class MetricsSession(SuiteSession):
     def __init__(self, config: pytest.Config) -> None:
         """Load the implementations; :class:`pytest.UsageError` if that fails."""
         super().__init__(config, "test_metrics.py", "cpas-metrics")
-        options = config.option
-        self.examples: int = options.cpas_examples or DEFAULT_EXAMPLES
-        self.seed: int = options.cpas_seed
-        if self.examples < 1:
-            raise pytest.UsageError(f"--cpas-examples is {self.examples}, expected at least 1")
-        here = config.invocation_params.dir
-        self.reports = [here / path for path in options.cpas_metrics_report]
-        for path in self.reports:
-            if path.suffix not in (".json", ".md"):
-                raise pytest.UsageError(f"--cpas-metrics-report {path}: expected .json or .md")
-        try:
-            self.subjects: list[Subject] = [
-                load_subject(name) for name in dict.fromkeys(options.cpas_metrics)
-            ]
-            self.known: dict[str, dict[str, KnownFailure]] = {
+        with usage_errors(ValueError):
+            self.options = MetricsOptions.of(config.option, config.invocation_params.dir)
+        with usage_errors(RegistryError, ContractError):
+            self.subjects: list[Subject] = [load_subject(name) for name in self.options.metrics]
+            self._known: dict[str, dict[str, KnownFailure]] = {
                 subject.name: known_of(subject.name) for subject in self.subjects
             }
-        except (RegistryError, ContractError) as error:
-            raise pytest.UsageError(str(error)) from error
-        self.matrix: dict[str, dict[str, Cell]] = {subject.name: {} for subject in self.subjects}
+        self._matrix: dict[str, dict[str, Cell]] = {subject.name: {} for subject in self.subjects}
+
+    @property
+    def examples(self) -> int:
+        """Examples per property."""
+        return self.options.examples or DEFAULT_EXAMPLES
 
     def known_failure(self, subject: Subject, name: str) -> KnownFailure | None:
         """The recorded violation of a property, unless violations are recorded anew."""
-        return None if self.update else self.known[subject.name].get(name)
+        return None if self.options.update else self._known[subject.name].get(name)
 
-    def found(self, item: pytest.Item) -> Any:
+    def item_content(self, item: pytest.Item) -> Any:
         """An item's result, and whether it is the recorded one."""
         if RESULT not in item.stash:
             return None
         result, expected = item.stash[RESULT]
         return {**asdict(result), "outcome": result.outcome.value}, expected
 
-    def collect(self, found: Any) -> None:
+    def collect(self, content: Any) -> None:
         """Enter a result into the matrix."""
-        values, expected = found
+        values, expected = content
         result = Result(**{**values, "outcome": Outcome(values["outcome"])})
-        self.matrix[result.subject][result.property] = Cell(result, expected)
+        self._matrix[result.subject][result.property] = Cell(result, expected)
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The matrix; reports and recorded violations are written."""
@@ -73,7 +67,7 @@ class MetricsSession(SuiteSession):
             return
         matrix = {
             name: {prop: cells[prop] for prop in PROPERTIES if prop in cells}
-            for name, cells in self.matrix.items()
+            for name, cells in self._matrix.items()
         }
         terminalreporter.section("conformance of metrics", bold=True)
         for line in aligned(as_table(matrix)):
@@ -86,9 +80,9 @@ class MetricsSession(SuiteSession):
                 f"{name}: {outcomes.count(Outcome.PASSED)} of {judged} properties hold,"
                 f" {known} known violations, {len(outcomes) - judged} n/a"
             )
-            if self.update:
+            if self.options.update:
                 self._record(terminalreporter, name, cells)
-        for path in self.reports:
+        for path in self.options.reports:
             write_matrix(path, matrix)
 
     def _record(

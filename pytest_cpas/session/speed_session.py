@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,8 +11,10 @@ import pytest
 from pytest_cpas import registry
 from pytest_cpas.documents import ItemOutcome, MeasuredSpeedDocument, SpeedDocument
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.session.method_session import CpasSession, cpas_session, make_method
-from pytest_cpas.session.suite_session import SuiteSession
+from pytest_cpas.session.method_session import CpasSession, cpas_session
+from pytest_cpas.session.options import RunOptions
+from pytest_cpas.session.resolution import make_method
+from pytest_cpas.session.suite_session import SuiteSession, usage_errors
 from pytest_cpas.timing.running import Plan, Rival, SpeedRun
 from pytest_cpas.timing.verdicts import parse_limit
 from pytest_cpas.timing.workers import TimingError
@@ -28,38 +32,37 @@ class SpeedSession(SuiteSession):
 
     def __init__(self, config: pytest.Config) -> None:
         """Check what is asked for; :class:`pytest.UsageError` where timing would mean nothing."""
-        check_usage(config)
+        check_usage(config.option)
         super().__init__(config, "test_speed.py", "cpas-speed")
         self.cpas: CpasSession = cpas_session(config)
-        plan = _plan(config, self.cpas)
+        with usage_errors(registry.RegistryError, ContractError, ValueError, OSError):
+            plan = plan_of(config.option, self.cpas.options)
         #: One for each method and data set; the parts of a profile are not timed one by one.
         self.speed_runs = [
             SpeedRun(run, plan)
             for run in self.cpas.runs
             if isinstance(run, MethodRun) and run.shared is None
         ]
-        try:
+        with usage_errors(TimingError):
             for speed_run in self.speed_runs:
                 if plan.rival:
                     plan.rival.of(type(speed_run.run.unloaded))
-        except TimingError as error:
-            raise pytest.UsageError(str(error)) from error
 
-    def found(self, item: pytest.Item) -> Any:
+    def item_content(self, item: pytest.Item) -> Any:
         """The run's index and the document."""
         if MEASURED not in item.stash:
             return None
         speed_run: SpeedRun = item.callspec.params["speed_run"]  # type: ignore[attr-defined]
         return self.cpas.runs.index(speed_run.run), item.stash[MEASURED]
 
-    def collect(self, found: Any) -> None:
-        """Hand the document to the session that reports."""
-        index, document = found
-        self.cpas.speed[self.cpas.runs[index]] = document
+    def collect(self, content: Any) -> None:
+        """Put the document beside what else has come back of the run."""
+        index, document = content
+        self.cpas.collected[self.cpas.runs[index]].add_speed(document)
 
     def outcome(self, verdict: Verdict) -> ItemOutcome:
         """As what the item ends."""
-        return verdict.outcome(self.config.option.cpas_require_golden)
+        return verdict.outcome(self.cpas.options.require_golden)
 
     def speed_document(self, measured: MeasuredSpeedDocument, verdict: Verdict) -> SpeedDocument:
         """What was measured, with the verdict on it."""
@@ -83,9 +86,8 @@ def speed_session(config: pytest.Config) -> SpeedSession:
     return session
 
 
-def check_usage(config: pytest.Config) -> None:
+def check_usage(options: Namespace) -> None:
     """Raise :class:`pytest.UsageError` for what would time nothing, or time it wrongly."""
-    options = config.option
     if not options.cpas_method:
         raise pytest.UsageError(
             "--cpas-benchmark times methods, and there is none: give --cpas-method NAME and"
@@ -115,27 +117,31 @@ def check_usage(config: pytest.Config) -> None:
             raise pytest.UsageError(f"--cpas-benchmark and {name}: {why}; leave one of them out")
 
 
-def _plan(config: pytest.Config, cpas: CpasSession) -> Plan:
-    options, here = config.option, config.invocation_params.dir
-    weights = here / options.cpas_weights if options.cpas_weights else None
-    try:
-        limit = (
-            None
-            if options.cpas_benchmark_fail is None
-            else parse_limit(options.cpas_benchmark_fail)
-        )
-        rival = _rival(options.cpas_benchmark_against, weights)
-    except (registry.RegistryError, ContractError, ValueError, OSError) as error:
-        raise pytest.UsageError(str(error)) from error
-    if rival and cpas.update:
-        raise pytest.UsageError(
+def plan_of(options: Namespace, run_options: RunOptions) -> Plan:
+    """How methods are timed; ``run_options``: what their runs are asked for.
+
+    Raises :class:`ValueError` for options that cannot be meant, and as
+    :func:`pytest_cpas.session.resolution.make_method` for the method to compare with.
+    """
+    fail = options.cpas_benchmark_fail
+    limit = None if fail is None else parse_limit(fail)
+    rival = _rival(options.cpas_benchmark_against, run_options.weights)
+    if rival and run_options.update:
+        raise ValueError(
             "--snapshot-update records the ratio to the calibration kernel, which is not timed with"
             " --cpas-benchmark-against; leave one of them out"
         )
-    return Plan(cpas.golden, weights, options.cpas_device, rival, limit, cpas.update)
+    return Plan(
+        golden=run_options.golden,
+        weights=run_options.weights,
+        device=run_options.device,
+        rival=rival,
+        limit=limit,
+        update=run_options.update,
+    )
 
 
-def _rival(name: str | None, weights: Any) -> Rival | None:
+def _rival(name: str | None, weights: Path | None) -> Rival | None:
     if name is None:
         return None
     if name.startswith(_REVISION):

@@ -5,20 +5,22 @@ from __future__ import annotations
 import sys
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 
+from pytest_cpas.session.options import Granularity
 from pytest_cpas.types import ItemOutcome, SampleRef
 
 
 class SuiteSession(ABC):
-    """Collects one module of :mod:`pytest_cpas.suite`, and brings what its items found home.
+    """Collects one module of :mod:`pytest_cpas.suite`, and what its items found.
 
     The same object lives on the controller, which without xdist is the only process, and on every
-    xdist worker. What an item found rides on its test report.
+    xdist worker. What an item found rides on its test report to the controller.
     """
 
     def __init__(self, config: pytest.Config, module: str, node: str) -> None:
@@ -28,7 +30,6 @@ class SuiteSession(ABC):
         """
         self.config = config
         self.is_controller = not hasattr(config, "workerinput")
-        self.update = bool(config.getoption("update_snapshots", False))
         self._suite = Path(__file__).parents[1] / "suite" / module
         self._node = node
         here = str(config.invocation_params.dir)
@@ -39,12 +40,12 @@ class SuiteSession(ABC):
         config.args = [*(config.args if named or others else ()), str(self._suite)]
 
     @abstractmethod
-    def found(self, item: pytest.Item) -> Any:
+    def item_content(self, item: pytest.Item) -> Any:
         """What an item of the suite found out, as plain values that xdist can send, or None."""
 
     @abstractmethod
-    def collect(self, found: Any) -> None:
-        """Take in, on the controller, what :meth:`found` gave for an item."""
+    def collect(self, content: Any) -> None:
+        """Take in, on the controller, what :meth:`item_content` gave for an item."""
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_pycollect_makemodule(
@@ -65,20 +66,30 @@ class SuiteSession(ABC):
         """Put what an item of this suite found on its report."""
         report = yield
         if report.when == "call" and item.path == self._suite:
-            report.cpas_found = (self._node, self.found(item))  # type: ignore[attr-defined]
+            content = self.item_content(item)
+            report.cpas_content = (self._node, content)  # type: ignore[attr-defined]
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """On the controller: collect."""
-        node, found = getattr(report, "cpas_found", (None, None))
-        if self.is_controller and node == self._node and found is not None:
-            self.collect(found)
+        node, content = getattr(report, "cpas_content", (None, None))
+        if self.is_controller and node == self._node and content is not None:
+            self.collect(content)
             # pytest keeps the reports of a run; the rows are kept already
-            del report.cpas_found
+            del report.cpas_content
+
+
+@contextmanager
+def usage_errors(*kinds: type[Exception]) -> Iterator[None]:
+    """Turn errors of these ``kinds`` into pytest's error about its command line."""
+    try:
+        yield
+    except kinds as error:
+        raise pytest.UsageError(str(error)) from error
 
 
 def grouped(
-    samples: Sequence[SampleRef], granularity: Literal["sample", "scene", "dataset"]
+    samples: Sequence[SampleRef], granularity: Granularity
 ) -> Iterable[tuple[str, list[SampleRef]]]:
     """Samples as (name, samples), one group per test item."""
     if granularity == "sample":

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_cpas.checks.dataset.facts import Survey
-from pytest_cpas.session.dataset_session import FOUND, Checked, DatasetSession
+from pytest_cpas.session.checked_dataset import CheckedDataset
+from pytest_cpas.session.dataset_session import SURVEY, DatasetSession
 from pytest_cpas.session.suite_session import grouped
 from pytest_cpas.types import SampleRef
 
@@ -18,20 +18,19 @@ def _session(config: pytest.Config) -> DatasetSession:
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Parametrise by data set, and by sample (or group of samples)."""
-    granularity = metafunc.config.option.cpas_granularity
+    session = _session(metafunc.config)
     metafunc.parametrize(
         ("checked", "refs"),
         [
-            pytest.param(checked, refs, id=f"{checked.survey.name}-{name}")
-            for checked in _session(metafunc.config).checked
-            for name, refs in grouped(checked.refs, granularity)
+            pytest.param(checked, refs, id=f"{checked.name}-{name}")
+            for checked in session.checked
+            for name, refs in grouped(checked.refs, session.options.granularity)
         ],
     )
 
 
-def test_measure(checked: Checked, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:
+def test_measure(
+    checked: CheckedDataset, refs: list[SampleRef], request: pytest.FixtureRequest
+) -> None:
     """The sample is measured; one that cannot be read is a matter of the check `readable`."""
-    found = request.node.stash[FOUND] = Survey.of(checked.dataset, checked.meshes)
-    for ref in refs:
-        found.examine(checked.dataset, ref)
-    checked.meshes.update(found.meshes)
+    request.node.stash[SURVEY] = checked.measure(refs)

@@ -32,7 +32,7 @@ def test_metric(subject: Subject, prop: Property, request: pytest.FixtureRequest
     session = _session(request.config)
     known = session.known_failure(subject, prop.name)
     if known is None:
-        result = check(subject, prop, seed=session.seed, examples=session.examples)
+        result = check(subject, prop, seed=session.options.seed, examples=session.examples)
     else:
         result = replay(subject, prop, known.case)
     as_recorded = known is not None and result.outcome is known.outcome
@@ -47,7 +47,7 @@ def test_metric(subject: Subject, prop: Property, request: pytest.FixtureRequest
             f" {result.message}\nrecord the violations anew with --snapshot-update",
             pytrace=False,
         )
-    if result.outcome is not Outcome.PASSED and not session.update:
+    if result.outcome is not Outcome.PASSED and not session.options.update:
         pytest.fail(
             f"{prop.name}: {result.outcome.value}: {result.message}\n"
             f"property: {prop.statement}\nreason: {prop.reason}\n\n{result.snippet}",

@@ -11,7 +11,8 @@ from pytest_cpas.checks.contract import CONTRACT, ContractCheck
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.evaluation import Run, SampleError
 from pytest_cpas.golden.published import count_problems
-from pytest_cpas.session.method_session import FOUND, Found, cpas_session
+from pytest_cpas.session.collected import ItemResult
+from pytest_cpas.session.method_session import ITEM_RESULT, cpas_session
 from pytest_cpas.session.suite_session import grouped
 from pytest_cpas.types import SampleRef
 
@@ -34,7 +35,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             [
                 pytest.param(run, refs, id=f"{run.method}-{run.dataset}-{name}")
                 for run in session.runs
-                for name, refs in grouped(run.samples, metafunc.config.option.cpas_granularity)
+                for name, refs in grouped(run.samples, session.options.granularity)
             ],
         )
     else:
@@ -58,7 +59,7 @@ def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest
     result = stage.result(check)
     if result is None:
         pytest.skip(f"no shard has checked {check.name}")
-    request.node.stash[FOUND] = Found(contract=result.plain())
+    request.node.stash[ITEM_RESULT] = ItemResult(contract=result)
     if result.known and result.violated:
         pytest.xfail(f"known: {result.message}")
     if result.known:
@@ -83,19 +84,18 @@ def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest
 def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:
     """The sample can be read, the method answers, and the answer keeps the contract."""
     session = cpas_session(request.config)
-    found = request.node.stash[FOUND] = Found()
+    result = request.node.stash[ITEM_RESULT] = ItemResult()
     errors = []
     # the others were judged before the run was killed
-    refs = [ref for ref in refs if ref.id not in session.rows[run]]
-    stage = session.stage(run)
-    if refs and stage and stage.wrong:
-        pytest.skip(f"the adapter is wrong: {stage.wrong}")
+    refs = [ref for ref in refs if ref.id not in session.collected[run].rows]
+    if refs and (obstacle := session.obstacle(run)):
+        pytest.skip(f"the adapter is wrong: {obstacle}")
     for ref in refs:
         try:
-            found.rows.append(run.judge(ref))
+            result.rows.append(run.judge(ref))
         except SampleError as error:
             errors.append(error)
-            found.errors.append((ref.id, str(error)))
+            result.errors.append((ref.id, str(error)))
     if len(errors) == 1 and errors[0].__cause__ is not None:
         raise errors[0]
     if errors:

@@ -34,9 +34,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def test_speed(speed_run: SpeedRun, benchmark: Any, request: pytest.FixtureRequest) -> None:
     """The method does not take much longer than it may."""
     session = speed_session(request.config)
-    stage = session.cpas.stage(speed_run.run)
-    if stage and stage.wrong:
-        pytest.skip(f"the adapter is wrong: {stage.wrong}")
+    if obstacle := session.cpas.obstacle(speed_run.run):
+        pytest.skip(f"the adapter is wrong: {obstacle}")
     problem = ""
     try:
         verdict, measured = speed_run.measure(benchmark)

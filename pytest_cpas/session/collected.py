@@ -1,0 +1,116 @@
+"""What comes back from the items of a run: rows, errors, the contract, a measured speed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from pytest_cpas.checks.contract import ContractResult
+from pytest_cpas.documents import SpeedDocument
+from pytest_cpas.evaluation import ResultsFile, Row, Run
+
+__all__ = ["CollectedRun", "ItemResult"]
+
+
+@dataclass
+class ItemResult:
+    """What an item found out: the rows of its samples, and (sample, message) of those that could
+    not be judged; or what a check of the contract found."""
+
+    rows: list[Row] = field(default_factory=list)
+    errors: list[tuple[str, str]] = field(default_factory=list)
+    contract: ContractResult | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """As values that xdist can send; :meth:`of` reads them."""
+        return {
+            "rows": [asdict(row) for row in self.rows],
+            "errors": self.errors,
+            "contract": self.contract and self.contract.plain(),
+        }
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> ItemResult:
+        """From :meth:`plain`, in this process or another one."""
+        return cls(
+            [_row(row) for row in values["rows"]],
+            [(sample, message) for sample, message in values["errors"]],
+            values["contract"] and ContractResult(**values["contract"]),
+        )
+
+
+def _row(values: dict[str, Any]) -> Row:
+    # one object each, which the samples' references have already
+    shared = {name: sys.intern(values[name]) for name in ("sample", "category")}
+    return Row(**{**values, **shared})
+
+
+class CollectedRun:
+    """All that has come back of one run; while it is open (``with``), also on disk if asked for."""
+
+    def __init__(self, run: Run, file: ResultsFile | None = None) -> None:
+        """Nothing yet, but for the rows that the results file has of a run that was killed."""
+        self.run = run
+        self._file = file
+        self._rows: dict[str, Row] = {} if file is None else dict(file.rows)
+        self._errors: dict[str, str] = {}
+        self._contract: dict[str, ContractResult] = {}
+        self._speed: SpeedDocument | None = None
+
+    @property
+    def rows(self) -> Mapping[str, Row]:
+        """The rows by sample, as they came."""
+        return self._rows
+
+    @property
+    def ordered_rows(self) -> list[Row]:
+        """The rows in the data set's order, however they came."""
+        return [self._rows[ref.id] for ref in self.run.samples if ref.id in self._rows]
+
+    @property
+    def errors(self) -> Mapping[str, str]:
+        """Per sample why it has no row."""
+        return self._errors
+
+    @property
+    def contract(self) -> Mapping[str, ContractResult]:
+        """What each check of the contract found."""
+        return self._contract
+
+    @property
+    def speed(self) -> SpeedDocument | None:
+        """What was measured of the method's speed, None if nothing was."""
+        return self._speed
+
+    def add(self, result: ItemResult) -> None:
+        """Take in what an item found; :class:`pytest_cpas.evaluation.ResultsError` if the disk does
+        not take it."""
+        self._rows |= {row.sample: row for row in result.rows}
+        self._errors |= dict(result.errors)
+        if result.contract:
+            self._contract[result.contract.check] = result.contract
+        if self._file is None:
+            return
+        for row in result.rows:
+            self._file.add(row)
+        for sample, message in result.errors:
+            self._file.add_error(sample, message)
+        if result.contract:
+            self._file.add_contract(result.contract.plain())
+
+    def add_speed(self, document: SpeedDocument) -> None:
+        """Take in what was measured of the method's speed."""
+        self._speed = document
+
+    def __enter__(self) -> CollectedRun:
+        """Begin to write the results file, if there is one."""
+        if self._file is not None:
+            self._file.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """End writing."""
+        if self._file is not None:
+            self._file.__exit__(*exception)

@@ -1,0 +1,131 @@
+"""A collected run is judged: its table against the golden one, and what explains a bad verdict.
+
+Plain values in, a :class:`JudgedRun` out; what is reported of it is
+:mod:`pytest_cpas.session.reporting`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pytest_cpas.checks.contract import CONTRACT
+from pytest_cpas.diagnosis import Explanation
+from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
+from pytest_cpas.evaluation import Run
+from pytest_cpas.golden import (
+    GoldenError,
+    RunTable,
+    Word,
+    compare,
+    compare_published,
+    find_golden,
+    published_cells,
+    record,
+)
+from pytest_cpas.session.collected import CollectedRun
+from pytest_cpas.types import Verdict
+
+__all__ = ["JudgedRun", "judge", "record_run"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JudgedRun:
+    """A run, its table and its verdicts.
+
+    ``golden``: the golden table it was compared with; ``explanations``: the usual mistakes that
+    explain a table far below the expected one. Both are lacking in a run that was interrupted.
+    """
+
+    collected: CollectedRun
+    table: RunTable
+    golden: RunTable | None = None
+    verdicts: Sequence[Verdict] = ()
+    explanations: Sequence[Explanation] = ()
+
+    @classmethod
+    def unjudged(cls, collected: CollectedRun) -> JudgedRun:
+        """What there is of a run that was interrupted."""
+        return cls(collected=collected, table=RunTable.of(collected.run, collected.ordered_rows))
+
+    @property
+    def run(self) -> Run:
+        """What was judged."""
+        return self.collected.run
+
+
+def judge(collected: CollectedRun, folder: Path) -> JudgedRun:
+    """Compare a run with its golden table below ``folder``; if there is none, with the paper."""
+    table = RunTable.of(collected.run, collected.ordered_rows)
+    golden, damage = _golden(collected.run, folder)
+    verdicts = [damage] if damage else _verdicts(collected.run, table, golden)
+    return _explained(collected, table, golden, verdicts)
+
+
+def record_run(collected: CollectedRun, folder: Path, *, failed_items: int) -> JudgedRun:
+    """Record the table of a run as its golden one below ``folder``, or say why not.
+
+    ``failed_items`` counts the items of the session that have failed.
+    """
+    table = RunTable.of(collected.run, collected.ordered_rows)
+    golden, _ = _golden(collected.run, folder)
+    run = collected.run
+    try:
+        if failed_items or run.damaged:
+            raise GoldenError(f"{failed_items} items failed; a golden table needs none to")
+        if run.under_contract and len(collected.contract) < len(CONTRACT):
+            raise GoldenError("the contract of the method was not checked; leave out -k")
+        verdict = Verdict(Word.RECORDED, "all", str(record(folder, table)))
+    except GoldenError as error:
+        verdict = Verdict(Word.NOT_RECORDED, "all", str(error))
+    return _explained(collected, table, golden, [verdict])
+
+
+def _golden(run: Run, folder: Path) -> tuple[RunTable | None, Verdict | None]:
+    """The golden table of a run, or the verdict that it is damaged."""
+    try:
+        return find_golden(folder, run.method, run.dataset), None
+    except GoldenError as error:
+        return None, Verdict(Word.DAMAGED, "all", str(error))
+
+
+def _verdicts(run: Run, table: RunTable, golden: RunTable | None) -> list[Verdict]:
+    """Against the golden table; where there is none, against the published counts."""
+    if golden is None and table.samples:
+        verdicts = compare_published(published_cells(run.dataset, run.method), table.table)
+        if verdicts:
+            return verdicts
+    return compare(golden, table)
+
+
+def _explained(
+    collected: CollectedRun,
+    table: RunTable,
+    golden: RunTable | None,
+    verdicts: Sequence[Verdict],
+) -> JudgedRun:
+    """The judged run; its bad verdicts say what explains them."""
+    run = collected.run
+    expected = expected_precision(golden, run)
+    explanations = diagnose_run(run, collected.ordered_rows, table, expected)
+    return JudgedRun(
+        collected=collected,
+        table=table,
+        golden=golden,
+        verdicts=[_with_reasons(verdict, explanations) for verdict in verdicts],
+        explanations=explanations,
+    )
+
+
+def _with_reasons(verdict: Verdict, explanations: Sequence[Explanation]) -> Verdict:
+    if verdict.passed:
+        return verdict
+    lines = [
+        f"\n  {line}"
+        for explanation in explanations
+        if "all" in (explanation.category, verdict.category)
+        or explanation.category == verdict.category
+        for line in explanation.lines()
+    ]
+    return replace(verdict, details=verdict.details + "".join(lines))

@@ -1,0 +1,172 @@
+"""What the command line asks for: read once, before collection, as plain values with types.
+
+Nothing of pytest is needed here, and nothing is looked up: :mod:`pytest_cpas.session.resolution`
+turns names into methods, data sets and runs.
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from pytest_cpas.evaluation import Selection, Shard
+
+__all__ = ["DatasetOptions", "Granularity", "MetricsOptions", "RunOptions"]
+
+#: How many samples one test item has: one, those of a scene, or all.
+Granularity = Literal["sample", "scene", "dataset"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What a run of methods, stored predictions or merged results is asked for.
+
+    Paths are as they are opened. ``golden`` is the folder of golden tables; ``seeds`` counts the
+    seeds that each sample is judged under, from ``seed`` on; ``others`` are the files of the runs
+    to compare with.
+    """
+
+    methods: Sequence[str] = ()
+    datasets: Sequence[str] = ()
+    predictions: Sequence[Path] = ()
+    merge: Sequence[Path] = ()
+    allow_gaps: bool = False
+    data: Path | None = None
+    weights: Path | None = None
+    device: str = "cpu"
+    seed: int = 0
+    seeds: int = 1
+    selection: Selection = field(default_factory=Selection)
+    robustness: bool = False
+    benchmark: bool = False
+    granularity: Granularity = "sample"
+    golden: Path
+    update: bool = False
+    require_golden: bool = False
+    results: Path | None = None
+    report: Path | None = None
+    others: Sequence[Path] = ()
+
+    @classmethod
+    def of(cls, options: Namespace, here: Path, *, golden: Path) -> RunOptions:
+        """From the options of :mod:`pytest_cpas.plugin` (and syrupy's ``--snapshot-update``).
+
+        Relative paths are looked for in ``here``. Raises :class:`ValueError` that names an option
+        whose value cannot be meant.
+        """
+        for name, count in (("limit", options.cpas_limit), ("jitter", options.cpas_jitter)):
+            if count is not None and count < 1:
+                raise ValueError(f"--cpas-{name} is {count}, expected at least 1")
+        return cls(
+            methods=tuple(options.cpas_method),
+            datasets=tuple(options.cpas_dataset),
+            predictions=_paths(here, options.cpas_predictions),
+            merge=_paths(here, options.cpas_merge),
+            allow_gaps=options.cpas_allow_gaps,
+            data=_path(here, options.cpas_data),
+            weights=_path(here, options.cpas_weights),
+            device=options.cpas_device,
+            seed=options.cpas_seed,
+            seeds=options.cpas_jitter,
+            selection=_selection(options),
+            robustness=options.cpas_profile == "robustness",
+            benchmark=options.cpas_benchmark,
+            granularity=options.cpas_granularity,
+            golden=golden,
+            update=_update(options),
+            require_golden=options.cpas_require_golden,
+            results=_path(here, options.cpas_results),
+            report=_path(here, options.cpas_report),
+            others=_paths(here, options.cpas_against),
+        )
+
+    @property
+    def shard(self) -> Shard:
+        """The part of the samples that is judged."""
+        return Shard(self.selection.shard, self.selection.shards)
+
+    @property
+    def only_for_pictures(self) -> bool:
+        """Whether the data sets are there for the report's pictures of merged results."""
+        return bool(self.datasets and self.merge and self.report)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetOptions:
+    """What checking data sets is asked for; ``known_faults``: files, ``pictures``: a folder."""
+
+    datasets: Sequence[str]
+    data: Path | None = None
+    selection: Selection = field(default_factory=Selection)
+    granularity: Granularity = "sample"
+    known_faults: Sequence[Path] = ()
+    pictures: Path | None = None
+
+    @classmethod
+    def of(cls, options: Namespace, here: Path) -> DatasetOptions:
+        """As :meth:`RunOptions.of`."""
+        return cls(
+            datasets=tuple(dict.fromkeys(options.cpas_check_dataset)),
+            data=_path(here, options.cpas_data),
+            selection=_selection(options),
+            granularity=options.cpas_granularity,
+            known_faults=_paths(here, options.cpas_known_faults),
+            pictures=_path(here, options.cpas_pictures),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetricsOptions:
+    """What checking implementations of metrics is asked for.
+
+    ``examples`` per property, None for as many as is usual; ``reports``: files to write.
+    """
+
+    metrics: Sequence[str]
+    examples: int | None = None
+    seed: int = 0
+    update: bool = False
+    reports: Sequence[Path] = ()
+
+    @classmethod
+    def of(cls, options: Namespace, here: Path) -> MetricsOptions:
+        """As :meth:`RunOptions.of`."""
+        if options.cpas_examples is not None and options.cpas_examples < 1:
+            raise ValueError(f"--cpas-examples is {options.cpas_examples}, expected at least 1")
+        reports = _paths(here, options.cpas_metrics_report)
+        for path in reports:
+            if path.suffix not in (".json", ".md"):
+                raise ValueError(f"--cpas-metrics-report {path}: expected .json or .md")
+        return cls(
+            metrics=tuple(dict.fromkeys(options.cpas_metrics)),
+            examples=options.cpas_examples,
+            seed=options.cpas_seed,
+            update=_update(options),
+            reports=reports,
+        )
+
+
+def _selection(options: Namespace) -> Selection:
+    shard = Shard.parse(options.cpas_shard)
+    return Selection(
+        categories=tuple(options.cpas_category),
+        limit=options.cpas_limit,
+        shard=shard.index,
+        shards=shard.count,
+    )
+
+
+def _update(options: Namespace) -> bool:
+    """Whether ``--snapshot-update`` is given, which is syrupy's option."""
+    return bool(getattr(options, "update_snapshots", False))
+
+
+def _path(here: Path, name: str | None) -> Path | None:
+    return here / name if name else None
+
+
+def _paths(here: Path, names: Sequence[str]) -> Sequence[Path]:
+    return tuple(here / name for name in names)

@@ -1,0 +1,153 @@
+"""What the options name: methods and data sets, the runs that they make, what goes with each run.
+
+All of it before anything is collected, so that a mistake costs no time.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pytest_cpas import registry
+from pytest_cpas.datasets.perturbed import perturbation_of, perturbed
+from pytest_cpas.documents import RunConditions, RunDocument
+from pytest_cpas.evaluation import (
+    MergedRun,
+    MethodRun,
+    ResultsError,
+    ResultsFile,
+    Run,
+    Shard,
+    StoredRun,
+    merge,
+)
+from pytest_cpas.report.against import pairs
+from pytest_cpas.report.stored import read_runs
+from pytest_cpas.session.options import RunOptions
+from pytest_cpas.types import Dataset, DeclarationError, Method, MethodInfo, assets_of
+
+__all__ = ["make_method", "open_results", "read_others", "resolve_runs"]
+
+
+def resolve_runs(options: RunOptions) -> list[Run]:
+    """The runs, in the order in which they are judged and reported; nothing is loaded.
+
+    Methods on data sets come first, then stored predictions, then merged results. Raises
+    :class:`ValueError` for options that make no run, and what is wrong with a method, a data set or
+    a file: :class:`pytest_cpas.registry.RegistryError`, :class:`pytest_cpas.types.ContractError`,
+    :class:`pytest_cpas.evaluation.ResultsError`, :class:`OSError`.
+    """
+    _check_both_sides(options)
+    methods = [make_method(name, options.weights) for name in options.methods]
+    datasets = [registry.resolve("dataset", name)(options.data) for name in options.datasets]
+    runs: list[Run] = []
+    for make, dataset in itertools.product(methods, datasets):
+        runs += _method_runs(make(), dataset, options)
+    runs += [StoredRun(path, selection=options.selection) for path in options.predictions]
+    runs += _merged_runs(options, datasets)
+    judged = {run.dataset for run in runs}
+    if options.only_for_pictures and not judged.issuperset(dataset.name for dataset in datasets):
+        raise ResultsError(
+            f"--cpas-dataset {', '.join(options.datasets)}: the results are of"
+            f" {', '.join(sorted(judged))}"
+        )
+    _check_runs(runs, options.selection.categories)
+    return runs
+
+
+def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
+    """Check a method's class and its assets; nothing is loaded.
+
+    Raises :class:`pytest_cpas.registry.RegistryError` for a name that means nothing,
+    :class:`pytest_cpas.types.DeclarationError` for what is no method,
+    :class:`FileNotFoundError` for assets that are not below ``weights``.
+    """
+    factory = registry.resolve("method", name)
+    info = getattr(factory, "info", None)
+    if not isinstance(info, MethodInfo):
+        raise DeclarationError(
+            f"method {name!r}: {factory!r} has no attribute info of type MethodInfo; a method is a"
+            " class with info, load(assets, device) and predict(batch, seed)"
+        )
+    for asset in assets_of(factory, weights):
+        try:
+            asset.locate(weights)
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"{info.name} needs {error}") from None
+    make: Callable[[], Method] = factory
+    return make
+
+
+def open_results(folder: Path | None, shard: Shard, runs: Sequence[Run]) -> dict[Run, ResultsFile]:
+    """The results file of each run, with the rows that it holds already; none without a folder.
+
+    Raises :class:`pytest_cpas.evaluation.ResultsError` for one that is damaged or another run's.
+    """
+    return {} if folder is None else {run: ResultsFile(folder, run, shard) for run in runs}
+
+
+def read_others(paths: Sequence[Path], runs: Sequence[Run]) -> list[RunDocument]:
+    """The runs to compare with; that they fit ``runs`` is known before any of those is judged.
+
+    Raises :class:`pytest_cpas.evaluation.ResultsError` and
+    :class:`pytest_cpas.report.stored.StoredReportError`.
+    """
+    if not paths:
+        return []
+    others = read_runs(paths)
+    conditions: list[RunConditions] = [
+        {"method": run.method, "dataset": run.dataset, "identity": dict(run.identity)}
+        for run in runs
+    ]
+    pairs(conditions, others)
+    return others
+
+
+def _check_both_sides(options: RunOptions) -> None:
+    if bool(options.methods) == bool(options.datasets) or options.only_for_pictures:
+        return
+    given: registry.Kind = "method" if options.methods else "dataset"
+    lacking: registry.Kind = "dataset" if options.methods else "method"
+    known = ", ".join(entry.name for entry in registry.registered(lacking))
+    raise ValueError(f"--cpas-{given} needs --cpas-{lacking} NAME as well; registered: {known}")
+
+
+def _method_runs(method: Method, dataset: Dataset, options: RunOptions) -> list[MethodRun]:
+    """The run of a method on a data set; with a profile, one for each part that this makes."""
+    runs: list[MethodRun] = []
+    for part in perturbed(dataset, method.info) if options.robustness else (dataset,):
+        run = MethodRun(
+            method,
+            part,
+            weights=options.weights,
+            device=options.device,
+            seed=options.seed,
+            seeds=options.seeds,
+            selection=options.selection,
+            shared=runs[0] if runs else None,
+            keeps_shapes=bool(options.report) and not perturbation_of(part.name),
+        )
+        runs.append(run)
+    return runs
+
+
+def _merged_runs(options: RunOptions, datasets: Sequence[Dataset]) -> list[MergedRun]:
+    """The runs in results files, each with its data set if that is at hand."""
+    runs = merge(options.merge, allow_gaps=options.allow_gaps)
+    for run, dataset in itertools.product(runs, datasets):
+        if dataset.name == run.dataset:
+            run.take_images(dataset)
+    return runs
+
+
+def _check_runs(runs: Sequence[Run], categories: Sequence[str]) -> None:
+    for run in runs:
+        if not run.samples and not run.damaged:
+            selected = f" of {', '.join(categories)}" if categories else ""
+            raise ValueError(
+                "\n".join([f"{run.method} on {run.dataset}: no samples{selected}", *run.missing])
+            )
+    names = [(run.method, run.dataset) for run in runs]
+    if len(set(names)) < len(names):
+        raise ValueError(f"the same method and data set twice: {names}")
