@@ -9,11 +9,11 @@ import pytest
 
 from pytest_cpas.checks.known import KnownFailure
 from pytest_cpas.checks.metrics import PROPERTIES, Result, Subject, load_subject
-from pytest_cpas.checks.metrics.matrix import Cell, aligned, as_table, write_matrix
 from pytest_cpas.checks.metrics.recorded import known_of, record
 from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.registry import RegistryError
+from pytest_cpas.report.metrics_matrix import Cell, aligned, as_table, write_matrix
 from pytest_cpas.session.options import MetricsOptions
 from pytest_cpas.session.suite_session import SuiteSession, usage_errors
 from pytest_cpas.types import ContractError

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+from pytest_cpas._deprecation import deprecated
+
 __all__ = ["ItemOutcome", "Verdict", "VerdictWord"]
 
 #: What a test item ends with, a verdict, a run or a session. skipped: a verdict could not be given,
@@ -58,6 +60,18 @@ class Verdict:
     def category(self) -> str:
         """The subject of a verdict on a run: one of its categories, or "all"."""
         return self.subject
+
+    @property
+    def check(self) -> str:
+        """Deprecated: the subject of a verdict on a data set."""
+        deprecated("Verdict.check", "Verdict.subject", "0.3")
+        return self.subject
+
+    @property
+    def message(self) -> str:
+        """Deprecated: the details of a verdict on a data set."""
+        deprecated("Verdict.message", "Verdict.details", "0.3")
+        return self.details
 
     @property
     def passed(self) -> bool:

@@ -8,6 +8,7 @@ import pickle
 
 import pytest
 
+from pytest_cpas import diagnosis
 from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.golden import Word
 from pytest_cpas.timing.verdicts import SpeedWord
@@ -48,3 +49,19 @@ def test_a_word_needs_an_outcome():
 
         class Incomplete(VerdictWord):
             GOOD = "GOOD"
+
+
+def test_old_names_say_what_to_write():
+    verdict = Verdict(DatasetWord.FAILED, "depth", "too far")
+    with pytest.deprecated_call(match=r"write Verdict\.subject"):
+        assert verdict.check == "depth"
+    with pytest.deprecated_call(match=r"write Verdict\.details"):
+        assert verdict.message == "too far"
+    with pytest.deprecated_call(match=r"write pytest_cpas\.diagnosis\.Explanation"):
+        assert diagnosis.Finding is diagnosis.Explanation
+    with pytest.deprecated_call(match=r"write pytest_cpas\.checks\.known\.KnownFailure"):
+        from pytest_cpas.checks.dataset.verdicts import KnownFault
+    assert KnownFault(check="depth", reason="x").category == "*"
+    with pytest.deprecated_call(match=r"write .*\.DatasetWord"):
+        from pytest_cpas.checks.dataset.verdicts import Word as Old
+    assert Old is DatasetWord

@@ -150,6 +150,22 @@ class MethodSubject:
             raise NotCheckedError("asked twice, the method gives two answers: see repeatable")
         return answers
 
+    def has_moved(self) -> bool:
+        """Whether the last sample has another answer by now, of a method that repeated it first."""
+        if not self.samples or self.first.finding or self.first.again:
+            return False
+        return self._asked_again(self.first.answers[-1]) is not None
+
+    def anew(self) -> MethodSubject | None:
+        """The same with a fresh instance; None if none can be made."""
+        if self.fresh is None:
+            return None
+        try:
+            method = self.fresh()
+        except Exception:
+            return None  # which is the finding of the check `fresh_instance`
+        return MethodSubject(method, self.samples, seed=self.seed, fresh=self.fresh)
+
     def hypotheses(self) -> list[tuple[Observation, Hypothesis]]:
         """The observations that have an answer, and the best one in the standard frames."""
         return [
@@ -321,7 +337,18 @@ class ContractResult:
 
 
 def check_contract(subject: MethodSubject, check: ContractCheck) -> ContractResult:
-    """Run one check."""
+    """Run one check; what it finds does not depend on the checks before it.
+
+    What is found of a method that has not kept still since its first answers is looked for again on
+    a fresh instance, if there is one: the calls of another check may have left something behind.
+    """
+    result = _run(subject, check)
+    if result.violated and subject.has_moved() and (anew := subject.anew()):
+        return _run(anew, check)
+    return result
+
+
+def _run(subject: MethodSubject, check: ContractCheck) -> ContractResult:
     demanded = check.demanded(subject.info)
     if not check.applies(subject.info):
         return ContractResult(check.name, Outcome.NOT_OFFERED, demanded, "does not apply")

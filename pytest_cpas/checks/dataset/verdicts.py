@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
+from pytest_cpas._deprecation import deprecated
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.dataset.facts import Survey
 from pytest_cpas.checks.known import KnownFailure, gone
@@ -53,3 +55,15 @@ def judge(survey: Survey, check: str, known: Sequence[KnownFailure] = ()) -> Ver
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return Verdict(DatasetWord.KNOWN, check, f"{problems[0]}{more}. Known: {reasons}")
     return Verdict(DatasetWord.PASSED, check)
+
+
+if not TYPE_CHECKING:  # a type checker would take every name for one that there is
+
+    def __getattr__(name: str) -> object:
+        if name == "KnownFault":
+            deprecated(f"{__name__}.KnownFault", "pytest_cpas.checks.known.KnownFailure", "0.3")
+            return KnownFailure
+        if name == "Word":
+            deprecated(f"{__name__}.Word", f"{__name__}.DatasetWord", "0.3")
+            return DatasetWord
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

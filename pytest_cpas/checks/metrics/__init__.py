@@ -20,6 +20,7 @@ from pytest_cpas.checks.metrics.subject import Subject
 # the modules register their properties when they are imported; the matrix follows this order
 from pytest_cpas.checks.metrics import rotations as _rotations  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import boxes as _boxes  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import symmetric_boxes as _turned  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import surfaces as _surfaces  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import precision as _precision  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import average_precision as _average  # isort: skip  # noqa: F401

@@ -1,4 +1,4 @@
-"""The matrix implementation x property, for the terminal, as JSON and as Markdown."""
+"""What implementations of metrics keep: the matrix implementation x property, in three forms."""
 
 from __future__ import annotations
 
