@@ -1,7 +1,9 @@
 """The files of golden tables: whatever happens to them."""
 
+import itertools
 import multiprocessing
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,32 +144,45 @@ def test_spread_is_not_lost_by_accident(tmp_path):
     assert read_golden(folder) == golden
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-@pytest.mark.parametrize(("step", "survivor"), [(0, "old"), (1, "old"), (2, "old"), (3, "new")])
-def test_killed_update_leaves_one_table_or_the_other(tmp_path, monkeypatch, step, survivor):
-    """Die before writing samples, or table, or before replacing table, or samples."""
-    folder = record(tmp_path, GOLDEN)
-    new = table(s_03=9)
+def _dies_updating(root: Path, new: RunTable, step: int) -> bool:
+    """Whether an update dies before it opens, moves or removes a file below ``root`` for the
+    ``step``-th time."""
     child = os.fork()
     if child == 0:
-        steps = iter([golden.files._save, golden.files._save, Path.replace, Path.replace])
+        left = step
 
-        def one(*args):
-            nonlocal step
-            if step == 0:
-                os._exit(9)
-            step -= 1
-            return next(steps)(*args)
+        def watch(event, args):
+            nonlocal left
+            if event in ("open", "os.rename", "os.remove") and str(args[0]).startswith(str(root)):
+                if left == 0:
+                    os._exit(9)
+                left -= 1
 
-        monkeypatch.setattr(golden.files, "_save", one)
-        monkeypatch.setattr(Path, "replace", one)
-        record(tmp_path, new)
-        os._exit(0)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
-    assert read_golden(folder) == {"old": GOLDEN, "new": new}[survivor]
-    again = table(s_05=9)
-    assert read_golden(record(tmp_path, again)) == again
-    assert {path.name for path in folder.iterdir()} == {"table.toml", "samples.csv"}
+        try:
+            sys.addaudithook(watch)
+            record(root, new)
+            os._exit(0)
+        finally:
+            os._exit(1)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, 9)
+    return code == 9
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_killed_update_leaves_one_table_or_the_other(tmp_path):
+    new, again = table(s_03=9), table(s_05=9)
+    survivors = []
+    for step in itertools.count():
+        folder = record(tmp_path / str(step), GOLDEN)
+        if not _dies_updating(tmp_path / str(step), new, step):
+            break
+        survivors.append(read_golden(folder))
+        assert read_golden(record(tmp_path / str(step), again)) == again
+        assert {path.name for path in folder.iterdir()} == {"table.toml", "samples.csv"}
+    old_ones = survivors.count(GOLDEN)
+    assert survivors == [GOLDEN] * old_ones + [new] * (len(survivors) - old_ones)
+    assert 4 <= old_ones < len(survivors)
 
 
 def _record_often(path: Path, category: str, error: float) -> None:
