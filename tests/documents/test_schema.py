@@ -1,16 +1,13 @@
 """The schema of the report: made of the types, and what it refuses."""
 
 import copy
-import json
-from pathlib import Path
 
 import make_schema
 import pytest
 import tiny
-from jsonschema import Draft202012Validator
+from report_schema import VALIDATOR, follow_schema
 from tables import Fixed, a_run, a_speed, rows, table
 
-import pytest_cpas.report
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.golden import RunTable
 from pytest_cpas.golden.comparison import compare
@@ -18,14 +15,11 @@ from pytest_cpas.report.against import against
 from pytest_cpas.report.document import FORMAT, document, run_document
 from pytest_cpas.report.up_axes import up_axes
 
-SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
-VALIDATOR = Draft202012Validator(SCHEMA)
-
 
 def test_the_schema_is_that_of_the_types():
     made = make_schema.schema_text()
     assert make_schema.PATH.read_text(encoding="utf-8") == made, "run tools/make_schema.py"
-    assert SCHEMA["properties"]["format"] == {"const": FORMAT}
+    assert VALIDATOR.schema["properties"]["format"] == {"const": FORMAT}
 
 
 def full_document() -> dict:
@@ -128,7 +122,7 @@ SPOILED = [
 
 
 def test_the_full_document_is_admitted():
-    VALIDATOR.validate(FULL)
+    follow_schema(FULL)
 
 
 def spoiled(path: str, value: object) -> dict:
@@ -175,7 +169,7 @@ def test_the_schema_refuses_a_spoiled_document(path, value):
     ],
 )
 def test_what_may_be_unknown_is_null(path):
-    VALIDATOR.validate(spoiled(path, None))
+    follow_schema(spoiled(path, None))
 
 
 def test_a_type_that_is_no_json_is_refused():

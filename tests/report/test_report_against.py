@@ -7,12 +7,11 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-import jsonschema
 import pytest
 from harness import RUN
+from report_schema import follow_schema
 from tables import REFS, Fixed, a_run, rows
 
-import pytest_cpas.report
 from pytest_cpas.cli import main
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable
@@ -22,12 +21,10 @@ from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
 from pytest_cpas.report.stored import StoredReportError, read_report, read_runs
 
-SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
-
 TEN, FIVE = "10 deg, 2 cm", "5 deg, 1 cm"
 
 
-def told(judged=None, run=None, errors=None) -> dict:
+def a_run_document(judged=None, run=None, errors=None) -> dict:
     run = run or a_run()
     return run_document(
         run,
@@ -40,7 +37,7 @@ def compared(new: dict, old: dict) -> dict:
     """The only pair of a document that follows the schema."""
     content = document([new], 0)
     content["against"] = against(content["runs"], [old])
-    jsonschema.validate(content, SCHEMA)
+    follow_schema(content)
     (pair,) = content["against"]["pairs"]
     return pair
 
@@ -67,7 +64,7 @@ def test_counts_and_p(lost, gained):
     refs = [f"s_{index:02d}" for index in range(10)]
     old = rows(**dict.fromkeys(refs[lost : lost + gained], 7.0))
     new = rows(**dict.fromkeys(refs[:lost], 7.0))
-    pair = compared(told(new), told(old))
+    pair = compared(a_run_document(new), a_run_document(old))
     found = cell(pair, "all", FIVE)
     assert (found["before"], found["after"]) == (
         {"correct": 10 - gained, "total": 10},
@@ -85,7 +82,7 @@ def test_counts_and_p(lost, gained):
 
 
 def test_flip_has_the_errors_of_both():
-    pair = compared(told(rows(s_03=30.0)), told(rows(s_03=7.0)))
+    pair = compared(a_run_document(rows(s_03=30.0)), a_run_document(rows(s_03=7.0)))
     (flip,) = pair["flips"]
     assert (flip["before"], flip["after"]) == ("0.5 cm, 7 deg, F 0.95", "0.5 cm, 30 deg, F 0.95")
     assert flip["lost"] == [TEN, f"{TEN}, F 0.6"]
@@ -101,15 +98,15 @@ def test_flip_has_the_errors_of_both():
         ),
         *rows()[1:],
     ]
-    (flip,) = compared(told(lost), told())["flips"]
+    (flip,) = compared(a_run_document(lost), a_run_document())["flips"]
     assert flip["after"] == "failed: no luck"
 
 
 def test_only_samples_of_both_count():
-    pair = compared(told(rows()[:6], errors={"s/07": "torn"}), told(rows()[2:]))
+    pair = compared(a_run_document(rows()[:6], errors={"s/07": "torn"}), a_run_document(rows()[2:]))
     assert (pair["common"], pair["only_here"], pair["only_there"]) == (4, 2, 4)
     assert cell(pair, "all", TEN)["after"] == {"correct": 4, "total": 4}
-    pair = compared(told(rows()[:2]), told(rows()[2:]))
+    pair = compared(a_run_document(rows()[:2]), a_run_document(rows()[2:]))
     assert (pair["common"], pair["precision"], pair["flips"]) == (0, [], [])
 
 
@@ -125,7 +122,7 @@ def test_not_applicable_in_one_is_not_counted():
         )
         for r in rows()
     ]
-    pair = compared(told(bare), told())
+    pair = compared(a_run_document(bare), a_run_document())
     found = cell(pair, "all", f"{TEN}, F 0.6")
     assert (found["before"], found["after"], found["p"]) == (None, None, None)
     assert cell(pair, "all", TEN)["before"] == {"correct": 10, "total": 10}
@@ -133,12 +130,12 @@ def test_not_applicable_in_one_is_not_counted():
 
 def test_what_differs_is_said():
     other = a_run(weights="w2", seed="1")
-    pair = compared(told(run=other), told(run=a_run(weights="w1", seed="1")))
+    pair = compared(a_run_document(run=other), a_run_document(run=a_run(weights="w1", seed="1")))
     assert pair["differences"] == ["weights was w1, now w2"]
 
 
 def named(method: str, dataset: str = "d", **identity: str) -> dict:
-    return told(run=Fixed(method, dataset, REFS, identity={"data": "x", **identity}))
+    return a_run_document(run=Fixed(method, dataset, REFS, identity={"data": "x", **identity}))
 
 
 def test_pairing():
@@ -242,7 +239,7 @@ def spoil(content: dict, path: Path) -> Path:
 
 
 def test_damaged_reports_are_refused(tmp_path):
-    good = document([told()], 0)
+    good = document([a_run_document()], 0)
     path = spoil(good, tmp_path / "report.json")
     assert read_runs([path])[0]["judged"] == 10
     with pytest.raises(StoredReportError, match="m on d is in these files more than once"):

@@ -6,7 +6,7 @@ import re
 
 import pytest
 from tables import Fixed
-from test_report_methods import report, told
+from test_report_methods import judged_run, report
 
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.golden import RunTable, shipped_golden
@@ -24,7 +24,7 @@ def published() -> list[dict]:
 
 
 def test_csv_has_the_exact_counts():
-    content = report(told("mine", "redwood75", 60), told("mine, too", "x\n2", 33))
+    content = report(judged_run("mine", "redwood75", 60), judged_run("mine, too", "x\n2", 33))
     lines = read(precision_csv(content))
     paper = [
         {k: v for k, v in line.items() if k not in ("source", "precision")}
@@ -75,7 +75,7 @@ def tables(text: str) -> list[list[list[str]]]:
 
 
 def test_tex_has_the_papers_figures_and_marks():
-    content = report(told("mine", "real275", 60), told("mine", "redwood75", 60))
+    content = report(judged_run("mine", "real275", 60), judged_run("mine", "redwood75", 60))
     overall, *categories = tables(precision_tex(content))
     assert [line[0] for line in overall][:2] == ["mine", "asmnet (paper)"]
     assert len(overall) == 10
@@ -103,7 +103,7 @@ HOSTILE = '\\input{/etc/passwd}%&$#_{}~^<>|"[x]*--\n\n\x00é'
 
 
 def test_tex_of_hostile_text():
-    content = report(told(HOSTILE, "a_b", 3), told("[x]", "a_b", 5))
+    content = report(judged_run(HOSTILE, "a_b", 3), judged_run("[x]", "a_b", 5))
     text = precision_tex(content)
     (table, *_) = tables(text)
     assert table[0][0] == (
@@ -124,12 +124,12 @@ def test_a_method_alone_is_not_marked_and_what_is_not_given_is_na():
     )
     ((line,),) = tables(precision_tex(report(empty)))
     assert line == ["m", *["n/a"] * 4]
-    assert "Best three" not in precision_tex(report(told("m", "d", 3)))
+    assert "Best three" not in precision_tex(report(judged_run("m", "d", 3)))
     assert read(precision_csv(report(empty))) == []
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_two_data_sets_stand_beside_each_other(count):
-    content = report(*(told("m", f"d{index}", 3) for index in range(count)))
+    content = report(*(judged_run("m", f"d{index}", 3) for index in range(count)))
     widths = [len(table[0]) - 1 for table in tables(precision_tex(content))]
     assert widths == {1: [4], 2: [8], 3: [8, 4]}[count]

@@ -1,15 +1,12 @@
 """Methods beside each other in a report: tables per category, two data sets at a time, run time."""
 
 import csv
-import json
 import re
-from pathlib import Path
 
-import jsonschema
 import pytest
+from report_schema import follow_schema
 from tables import Fixed, a_speed
 
-import pytest_cpas.report
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.report.curves import charts as curve_charts
@@ -21,10 +18,8 @@ from pytest_cpas.report.scatter import charts, colour, dataset_pairs, methods
 from pytest_cpas.report.tables import category_tables, groups
 from pytest_cpas.types import SampleRef
 
-SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
 
-
-def told(method: str, dataset: str, correct: int, time: float | None = None) -> dict:
+def judged_run(method: str, dataset: str, correct: int, time: float | None = None) -> dict:
     """A run of 100 samples, half of them bowls, of which the first are right everywhere."""
     refs = [
         SampleRef(id=f"s/{i:03d}", category="mug" if i % 2 else "bowl", scene="s")
@@ -51,7 +46,7 @@ def told(method: str, dataset: str, correct: int, time: float | None = None) -> 
 
 def report(*runs: dict) -> dict:
     content = document(runs, 0)
-    jsonschema.validate(content, SCHEMA)
+    follow_schema(content)
     return content
 
 
@@ -70,7 +65,7 @@ def overall(dataset: str, degrees: str, fscore: str) -> dict[str, float]:
 
 
 def test_dots_stand_where_the_published_counts_say():
-    content = report(told("mine", "real275", 30), told("mine", "redwood75", 12, 0.5))
+    content = report(judged_run("mine", "real275", 30), judged_run("mine", "redwood75", 12, 0.5))
     assert dataset_pairs(content) == [("real275", "redwood75")]
     figures = list(charts(methods(content), ("real275", "redwood75"), content["thresholds"]))
     assert len(figures) == 4 + 1  # and what the signs mean
@@ -104,7 +99,7 @@ def test_dots_stand_where_the_published_counts_say():
 @pytest.mark.parametrize("dataset", ["real275", "redwood75"])
 def test_every_published_curve_is_drawn_and_monotone(dataset):
     """Nine lines in each chart, every point where its count says, and never the wrong way."""
-    content = report(told("mine", dataset, 30))
+    content = report(judged_run("mine", dataset, 30))
     ((_, runs, paper),) = groups(content)
     *figures, _ = curve_charts(curve_lines(paper, runs))
     kinds = ("position_m", "rotation_deg", "fscore_1cm")
@@ -125,7 +120,7 @@ def test_every_published_curve_is_drawn_and_monotone(dataset):
 
 
 def test_a_method_of_one_data_set_is_a_tick_at_its_axis():
-    content = report(told("mine", "real275", 30))
+    content = report(judged_run("mine", "real275", 30))
     (figure, *_, _) = charts(methods(content), ("real275", "redwood75"), content["thresholds"])
     (tick,) = (line for line in figure.iter("line") if line.get("class") == "tick")
     assert tick.get("x1") == tick.get("x2")
@@ -134,14 +129,18 @@ def test_a_method_of_one_data_set_is_a_tick_at_its_axis():
 
 
 def test_pairs_of_other_data_sets():
-    runs = [told(method, dataset, 10) for method in "abc" for dataset in "xy"]
-    runs += [told("a", "z", 30), told("a", "x+occlusion-1", 3), told("b", "x+occlusion-1", 3)]
+    runs = [judged_run(method, dataset, 10) for method in "abc" for dataset in "xy"]
+    runs += [
+        judged_run("a", "z", 30),
+        judged_run("a", "x+occlusion-1", 3),
+        judged_run("b", "x+occlusion-1", 3),
+    ]
     content = report(*runs)
     assert dataset_pairs(content) == [("x", "y")]  # one method alone has nothing beside it
     (figure, *_) = charts(methods(content), ("x", "y"), content["thresholds"])
     assert [dot.get("fill") for dot in figure.iter("polygon")] == [None] * 3  # which is grey
     assert page(content, {}).count('<h2 id="overview">') == 1
-    assert 'id="overview"' not in page(report(told("a", "x", 10)), {})
+    assert 'id="overview"' not in page(report(judged_run("a", "x", 10)), {})
 
 
 def test_colours_go_with_the_logarithm_and_end_at_their_ends():
@@ -155,7 +154,7 @@ def test_colours_go_with_the_logarithm_and_end_at_their_ends():
 
 
 def test_tables_per_category_rank_measured_and_published():
-    content = report(told("mine", "redwood75", 60))
+    content = report(judged_run("mine", "redwood75", 60))
     ((_, runs, paper),) = groups(content)
     # the paper prints one threshold per category
     ((threshold, categories, lines),) = category_tables(content["thresholds"], runs, paper)
@@ -187,7 +186,7 @@ def test_tables_per_category_rank_measured_and_published():
 
 
 def test_markdown_has_the_same_tables_with_marks():
-    text = markdown(report(told("mine", "real275", 60)))
+    text = markdown(report(judged_run("mine", "real275", 60)))
     assert "| dpdn (paper) | **12232/16118 75.9 % ¹** |" in text
     (start,) = re.findall(r"<summary>per category at (.*)</summary>", text)
     assert start == "10 deg, 2 cm, F 0.6"
@@ -196,14 +195,14 @@ def test_markdown_has_the_same_tables_with_marks():
 
 
 def test_run_times_stand_beside_the_paper_with_both_machines():
-    text = page(report(told("mine", "redwood75", 60, 0.5)), {})
+    text = page(report(judged_run("mine", "redwood75", 60, 0.5)), {})
     section = text[text.index('id="run-time"') :]
     assert "A CPU, 2 cores, A GPU" in section
     assert "SLOWER: by 30 %" in section
     assert "Intel Core i7-6850K, NVIDIA TITAN X (Pascal)" in section
     assert "<td>icaps (paper)</td><td>2.44 s</td>" in section
-    assert 'id="run-time"' not in page(report(told("mine", "redwood75", 60)), {})
+    assert 'id="run-time"' not in page(report(judged_run("mine", "redwood75", 60)), {})
 
 
 def test_paper_is_not_told_where_no_run_is_on_its_data():
-    assert report(told("mine", "x", 60))["published"] == {}
+    assert report(judged_run("mine", "x", 60))["published"] == {}

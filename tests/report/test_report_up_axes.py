@@ -1,19 +1,16 @@
 """Up axes in a report: directions of known rotations, and where the disc shows them."""
 
-import json
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 import tiny
+from report_schema import follow_schema
 from scipy.spatial.transform import Rotation
 from tables import a_run, rows, table
 
-import pytest_cpas.report
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.evaluation.estimates import encode_estimate
 from pytest_cpas.report.document import document, run_document
@@ -21,8 +18,6 @@ from pytest_cpas.report.page import page
 from pytest_cpas.report.sphere import disc
 from pytest_cpas.report.up_axes import SHOWN, up_axes
 from pytest_cpas.types import ContractError, Hypothesis
-
-SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
 
 
 def judged(method=tiny.Perfect, data=None):
@@ -70,11 +65,21 @@ def test_truth_that_cannot_be_read_again_is_left_out(monkeypatch):
 
 
 def test_images_are_not_all_read_again(monkeypatch):
+    """Where a truth costs an image, those of 500 samples stand for more of them."""
     run, found = judged()
+    read = []
+
+    def truth(ref):
+        read.append(ref)
+        return tiny.truth(int(ref.id.split("/")[1]))
+
+    monkeypatch.setattr(run, "truth", truth)
+    many = [found[i % tiny.COUNT] for i in range(50 * tiny.COUNT)]
     run.quick_truth = False
-    monkeypatch.setattr("pytest_cpas.report.up_axes.MOST_TRUTHS", 5)
-    told = up_axes(run, found)
-    assert (told["truth"]["count"], told["estimate"]["count"]) == (5, tiny.COUNT)
+    axes = up_axes(run, many)
+    assert (axes["truth"]["count"], axes["estimate"]["count"], len(read)) == (500, 600, 500)
+    run.quick_truth = True
+    assert up_axes(run, many)["truth"]["count"] == 600
 
 
 def test_only_some_directions_of_a_large_run_are_kept():
@@ -127,7 +132,7 @@ def test_page_shows_the_truth_once_and_every_estimate():
         for name in ("a", "</script><b>", "c")
     ]
     content = document(told, 0)
-    jsonschema.validate(content, SCHEMA)
+    follow_schema(content)
     text = page(content, {})
     escaped = "&lt;/script&gt;&lt;b&gt;"
     assert re.findall(r"<figcaption>(.*?)<small>", text) == ["truth", "a", escaped, "c"]

@@ -10,13 +10,12 @@ import threading
 import types
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 import scipy.stats
 from harness import RUN
+from report_schema import follow_schema
 
-import pytest_cpas.report
 from pytest_cpas import stages
 from pytest_cpas.timing import contestant, machine, running
 from pytest_cpas.timing.calibration import Calibration, CpuKernel, TorchKernel
@@ -36,8 +35,6 @@ from pytest_cpas.timing.records import RecordError, SpeedRecord, read_record
 from pytest_cpas.timing.verdicts import parse_limit
 from pytest_cpas.timing.workers import Adapter, TimingError, Worker
 from pytest_cpas.types import ContractError, SampleRef
-
-SCHEMA = json.loads(Path(pytest_cpas.report.__file__).with_name("schema.json").read_text())
 
 # -- statistics ---------------------------------------------------------------------------------
 
@@ -468,7 +465,7 @@ def clocked(cpas, pytester, monkeypatch):
         content = json.loads(report.read_text()) if report.exists() else None
         report.unlink(missing_ok=True)
         if content is not None:
-            jsonschema.validate(content, SCHEMA)
+            follow_schema(content)
             run.speed = content["runs"][0]["speed"]
             run.outcome = content["runs"][0]["outcome"]
         return result
@@ -750,7 +747,7 @@ def rivals(cpas, pytester, monkeypatch):
         asked = (f"--cpas-benchmark-against={against}", "-k=test_speed", "--cpas-report=out")
         result = pytester.runpytest_inprocess(*RUN, *names, *asked, *args)
         content = json.loads((pytester.path / "out" / "report.json").read_text())
-        jsonschema.validate(content, SCHEMA)
+        follow_schema(content)
         run.speed = content["runs"][0]["speed"]
         return result
 
