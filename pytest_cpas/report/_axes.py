@@ -46,7 +46,7 @@ class Axes:
     def grid(
         self, across: Callable[[float], str], up: Callable[[float], str], title: str
     ) -> Iterator[Element]:
-        """Lines and their values in words, and the title below."""
+        """Lines with their values as text, and the title below."""
         for step in range(_STEPS + 1):
             value_across, value_up = (limit * step / _STEPS for limit in self.largest)
             x, y = self.across(value_across), self.up(value_up)

@@ -33,7 +33,7 @@ _Run = TypeVar("_Run", bound=RunConditions)
 
 
 def pairs(new: Sequence[_New], old: Sequence[_Old]) -> tuple[list[tuple[_New, _Old]], list[str]]:
-    """Which runs to compare, and in words those that have no counterpart.
+    """Which runs to compare, and a line for each that has no counterpart.
 
     A run is compared with that of the same method on the same data set; where a data set has one
     run left on either side, with that of the other method. Raises :class:`StoredReportError` if

@@ -24,12 +24,12 @@ class Comparison(ABC):
         """How many times as long it takes; None if that is not known."""
 
     @abstractmethod
-    def words(self) -> str:
-        """The time that it is compared with; or why there is none."""
+    def reference(self) -> str:
+        """The time that it is compared with, as a message says it; or why there is none."""
 
     def verdict(self, rounds: Rounds) -> Verdict:
         """On all rounds so far."""
-        return judge(self.slowdown(rounds), self.words(), self.limit, len(rounds.ratios))
+        return judge(self.slowdown(rounds), self.reference(), self.limit, len(rounds.ratios))
 
     def undecided(self, rounds: Rounds) -> bool:
         """Whether further rounds may bring a verdict."""
@@ -47,7 +47,7 @@ class WithRival(Comparison):
         """The ratio of the two."""
         return median_interval([ratio for _, ratio in rounds.ratios], LOOK_CONFIDENCE)
 
-    def words(self) -> str:
+    def reference(self) -> str:
         """By name."""
         return f"the time of {self.name}"
 
@@ -89,6 +89,6 @@ class WithRecord(Comparison):
             return None
         return self.record.slowdown([(self.names[index], ratio) for index, ratio in rounds.ratios])
 
-    def words(self) -> str:
+    def reference(self) -> str:
         """Relative to the kernel, as everything here."""
         return self.why_not or "the recorded time, relative to the calibration kernel"

@@ -28,33 +28,32 @@ class SpeedWord(VerdictWord):
 def judge(
     slowdown: Interval | None, reference: str, limit: float | None, quadruples: int
 ) -> Verdict:
-    """The verdict on a slow-down relative to ``reference`` (in words).
+    """The verdict on a slow-down relative to ``reference`` (as a message says it).
 
     Without a slow-down ``reference`` says why there is none. Without a limit nothing is judged.
     """
     if slowdown is None:
         word = SpeedWord.MEASURED if limit is None else SpeedWord.NOT_COMPARED
         return Verdict(word, "all", reference, limit)
-    told = (
+    factor = (
         f"{slowdown.median:.3g} times {reference} ({slowdown.lower:.3g} to {slowdown.upper:.3g}"
         f" with {100 * slowdown.confidence:.3g} % confidence, {quadruples} quadruples)"
     )
     if limit is None:
         return Verdict(
-            SpeedWord.MEASURED, "all", f"{told}; not judged without --cpas-benchmark-fail"
+            SpeedWord.MEASURED, "all", f"{factor}; not judged without --cpas-benchmark-fail"
         )
-    found = decide(slowdown, limit)
     words = {
-        "slower": (SpeedWord.SLOWER, f"{told}; allowed are {limit:.4g} times"),
-        "not slower": (SpeedWord.NOT_SLOWER, f"{told}; allowed are {limit:.4g} times"),
-        "faster": (SpeedWord.FASTER, told),
+        "slower": (SpeedWord.SLOWER, f"{factor}; allowed are {limit:.4g} times"),
+        "not slower": (SpeedWord.NOT_SLOWER, f"{factor}; allowed are {limit:.4g} times"),
+        "faster": (SpeedWord.FASTER, factor),
         "undecided": (
             SpeedWord.UNDECIDED,
-            f"{told}; the limit of {limit:.4g} times lies in between. Give the machine less else to"
-            " do, or another limit",
+            f"{factor}; the limit of {limit:.4g} times lies in between. Give the machine less else"
+            " to do, or another limit",
         ),
     }
-    word, details = words[found]
+    word, details = words[decide(slowdown, limit)]
     return Verdict(word, "all", details, limit)
 
 

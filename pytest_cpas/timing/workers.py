@@ -189,6 +189,6 @@ def _git(folder: Path, *arguments: str) -> str:
     except FileNotFoundError as error:
         raise TimingError("git is not installed; a revision of an adapter needs it") from error
     if done.returncode:
-        words = done.stderr.strip() or f"exit status {done.returncode}"
-        raise TimingError(f"git -C {folder} {' '.join(arguments)}: {words}")
+        complaint = done.stderr.strip() or f"exit status {done.returncode}"
+        raise TimingError(f"git -C {folder} {' '.join(arguments)}: {complaint}")
     return done.stdout.strip()

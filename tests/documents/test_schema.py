@@ -14,12 +14,18 @@ from pytest_cpas.golden.comparison import compare
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import FORMAT, document, run_document
 from pytest_cpas.report.up_axes import up_axes
+from pytest_cpas.timing.verdicts import SpeedWord
 
 
 def test_the_schema_is_that_of_the_types():
     made = make_schema.schema_text()
     assert make_schema.PATH.read_text(encoding="utf-8") == made, "run tools/make_schema.py"
     assert VALIDATOR.schema["properties"]["format"] == {"const": FORMAT}
+
+
+def test_every_word_on_speed_is_in_the_schema():
+    verdict = VALIDATOR.schema["$defs"]["speed_verdict"]["properties"]
+    assert {word.value for word in SpeedWord} <= {*verdict["word"]["enum"]}
 
 
 def full_document() -> dict:
