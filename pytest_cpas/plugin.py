@@ -25,7 +25,7 @@ _SELECTING = (*_METHOD, "--cpas-predictions", "--cpas-check-dataset")
 
 #: What does nothing unless one of others is given too. Settings that a project may keep for its own
 #: tests as well (data, weights, golden tables, device, seed) are not among them.
-_NEEDS: Mapping[str, tuple[str, ...]] = {
+NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-report": _RUN,
     "--cpas-results": _RUN,
     "--cpas-require-golden": _RUN,
@@ -46,7 +46,7 @@ _NEEDS: Mapping[str, tuple[str, ...]] = {
 }
 
 #: What to type for the first of them.
-_EXAMPLES: Mapping[str, str] = {
+EXAMPLES: Mapping[str, str] = {
     "--cpas-method": "--cpas-method icp --cpas-dataset synthetic-tabletop",
     "--cpas-benchmark": "--cpas-benchmark",
     "--cpas-report": "--cpas-report DIR",
@@ -314,8 +314,8 @@ def _check_needs(config: pytest.Config) -> None:
     typed = {str(argument).partition("=")[0] for argument in config.invocation_params.args}
     vain = [
         f"{option} does nothing without {' or '.join(needed)}; add for example"
-        f" {_EXAMPLES[needed[0]]}"
-        for option, needed in _NEEDS.items()
+        f" {EXAMPLES[needed[0]]}"
+        for option, needed in NEEDS.items()
         if option in typed and not any(config.getoption(_destination(other)) for other in needed)
     ]
     if vain:

@@ -1,5 +1,7 @@
 """What runs of pytest inside a test are started with, and what is the same in all of them."""
 
+import argparse
+
 import tiny
 
 from pytest_cpas.checks.contract import CONTRACT, MethodSubject, check_contract
@@ -25,3 +27,21 @@ def _contract_items() -> tuple[int, int]:
 #: Contract items of tests/tiny.py's perfect method: those that pass, and those that do not apply
 #: or find what is not demanded.
 KEPT, NOT_DEMANDED = _contract_items()
+
+
+class DeclaredOptions:
+    """What stands for pytest's parser where only the plugin's own options are wanted."""
+
+    def __init__(self) -> None:
+        self.names: set[str] = set()
+        self.parser = argparse.ArgumentParser()
+
+    def getgroup(self, *_: str) -> "DeclaredOptions":
+        return self
+
+    def addoption(self, name: str, **keywords: object) -> None:
+        self.names.add(name)
+        self.parser.add_argument(name, **keywords)
+
+    def addini(self, *_: str) -> None:
+        pass

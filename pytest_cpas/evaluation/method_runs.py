@@ -42,6 +42,22 @@ class MethodError(Exception):
     """A method cannot be loaded."""
 
 
+class Loading:
+    """The loading of a method: when it is first needed, once for all runs that share it."""
+
+    def __init__(self, method: Method, weights: Path | None, device: str) -> None:
+        self._method, self._weights, self._device = method, weights, device
+
+    @functools.cached_property
+    def error(self) -> Exception | None:
+        """Loads the method; what went wrong is remembered, not tried again for every sample."""
+        try:
+            self._method.load(self._weights, self._device)
+        except Exception as error:
+            return error
+        return None
+
+
 class MethodRun(Run):
     """A method on a data set. The method is loaded at its first sample, once per process."""
 
@@ -67,6 +83,7 @@ class MethodRun(Run):
         self._method, self._dataset = method, dataset
         self._weights, self._device = weights, device
         self.seed, self.seeds, self.shared = seed, seeds, shared
+        self.loading: Loading = shared.loading if shared else Loading(method, weights, device)
         self._keeps_shapes = keeps_shapes
         self.under_contract = shared is None
         self.info = method.info
@@ -98,17 +115,6 @@ class MethodRun(Run):
             },
         )
 
-    @functools.cached_property
-    def _load_error(self) -> Exception | None:
-        """Loads the method; what went wrong is remembered, not tried again for every sample."""
-        if self.shared is not None:
-            return self.shared._load_error
-        try:
-            self._method.load(self._weights, self._device)
-        except Exception as error:
-            return error
-        return None
-
     @property
     def unloaded(self) -> Method:
         """The method, loaded or not."""
@@ -116,8 +122,8 @@ class MethodRun(Run):
 
     def loaded(self) -> Method:
         """The method, ready; :class:`MethodError` if it cannot be loaded."""
-        if self._load_error is not None:
-            raise MethodError(f"the method cannot be loaded: {self._load_error}")
+        if self.loading.error is not None:
+            raise MethodError(f"the method cannot be loaded: {self.loading.error}")
         return self._method
 
     def fresh(self) -> Method:

@@ -5,9 +5,9 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from harness import KEPT, NOT_DEMANDED, RUN
+from harness import KEPT, NOT_DEMANDED, RUN, DeclaredOptions
 
-from pytest_cpas.plugin import _EXAMPLES, _NEEDS
+from pytest_cpas import plugin
 
 GRID = [(), ("-n2",), ("-n2", "--dist=worksteal"), ("--cpas-granularity=scene",)]
 
@@ -312,26 +312,28 @@ def alone(request, pytester):
     return option, option + values.get(option, "" if option in plain else "=3")
 
 
-@pytest.mark.parametrize("alone", _NEEDS, indirect=True)
+@pytest.mark.parametrize("alone", plugin.NEEDS, indirect=True)
 def test_option_that_does_nothing_is_a_usage_error(pytester, alone):
     option, typed = alone
     result = pytester.runpytest_inprocess(*RUN, typed, "test_x.py")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines([f"ERROR: {option} does nothing without {_NEEDS[option][0]}*"])
-    assert _EXAMPLES[_NEEDS[option][0]] in result.stderr.str()
+    result.stderr.fnmatch_lines(
+        [f"ERROR: {option} does nothing without {plugin.NEEDS[option][0]}*"]
+    )
+    assert plugin.EXAMPLES[plugin.NEEDS[option][0]] in result.stderr.str()
 
 
-@pytest.mark.parametrize("alone", _NEEDS, indirect=True)
+@pytest.mark.parametrize("alone", plugin.NEEDS, indirect=True)
 def test_option_in_a_configuration_file_may_do_nothing(pytester, alone):
     pytester.makeini(f"[pytest]\naddopts = {alone[1]}")
     pytester.runpytest_inprocess(*RUN, "test_x.py").assert_outcomes(passed=1)
 
 
-def test_every_option_is_decided_upon(pytestconfig):
-    (group,) = (g for g in pytestconfig._parser._groups if g.name == "cpas")
-    options = {name for option in group.options for name in option.names()}
-    assert FREE | _NEEDS.keys() == options
-    assert not FREE & _NEEDS.keys()
+def test_every_option_is_decided_upon():
+    declared = DeclaredOptions()
+    plugin.pytest_addoption(declared)
+    assert FREE | plugin.NEEDS.keys() == declared.names
+    assert not FREE & plugin.NEEDS.keys()
 
 
 def test_all_that_was_typed_in_vain_is_named(pytester):
