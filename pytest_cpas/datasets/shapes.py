@@ -16,17 +16,15 @@ scanner would find them. All are made from one primitive, a stack of rings. Vert
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pytest_cpas.datasets._mug import mug
+from pytest_cpas.datasets._rings import refine, solid, solid_of_revolution
 from pytest_cpas.types import CATEGORIES, Array, Mesh
 
 __all__ = ["RANGES", "make", "mean_shape", "solid_of_revolution"]
-
-_SEGMENTS = 48
 
 #: Smallest and largest value of each category's parameters: metres, degrees or ratios. The sizes
 #: are those of everyday objects and enclose the ones that REAL275 and REDWOOD75 show.
@@ -97,79 +95,10 @@ def mean_shape(category: str) -> Mesh:
     return _BUILDERS[category](**values)
 
 
-def solid_of_revolution(profile: Array) -> Mesh:
-    """The solid about the y axis through ``profile`` (M, 2): radius and height, metres.
-
-    Both ends are closed by a disc. Like every shape it is centred on its bounding box.
-    """
-    return _solid(_revolve(profile))
-
-
 def _ranges(category: str) -> dict[str, tuple[float, float]]:
     if category not in RANGES:
         raise ValueError(f"no shapes of category {category!r}; there are {', '.join(CATEGORIES)}")
     return RANGES[category]
-
-
-def _finish(vertices: Array, triangles: NDArray[np.int64]) -> Mesh:
-    """Drop unused vertices, centre on the bounding box, round, orient the triangles outwards."""
-    used, triangles = np.unique(triangles, return_inverse=True)
-    vertices, triangles = vertices[used], triangles.reshape(-1, 3)
-    vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    vertices = np.round(vertices, 7) + 0.0  # no -0.0
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    if np.sum(a * np.cross(b, c)) < 0:
-        triangles = triangles[:, ::-1]
-    return Mesh(vertices, triangles)
-
-
-def _side(first: int, second: int, count: int, skip: int = 0) -> NDArray[np.int64]:
-    """Triangles between two rings of ``count`` vertices, less the first ``skip`` quads."""
-    j = np.arange(skip, count)
-    k = (j + 1) % count
-    lower = np.stack([first + j, first + k, second + k], axis=1)
-    upper = np.stack([first + j, second + k, second + j], axis=1)
-    return np.concatenate([lower, upper])
-
-
-def _loft(rings: Array) -> tuple[Array, list[NDArray[np.int64]]]:
-    """A closed surface through rings (M, N, 3), both ends closed at the middle of their ring."""
-    m, n, _ = rings.shape
-    vertices = np.concatenate(
-        [rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]]
-    )
-    j = np.arange(n)
-    k = (j + 1) % n
-    start = np.stack([np.full(n, m * n), k, j], axis=1)
-    end = np.stack([np.full(n, m * n + 1), (m - 1) * n + j, (m - 1) * n + k], axis=1)
-    sides = [_side(i * n, (i + 1) * n, n) for i in range(m - 1)]
-    return vertices, [start, *sides, end]
-
-
-def _revolve(profile: Array, columns: int = _SEGMENTS) -> Array:
-    """Rings (M, columns, 3) about the y axis through profile points (M, 2) of radius and height.
-
-    The first column lies at -z, the following ones towards +x.
-    """
-    angles = 2 * np.pi * np.arange(columns) / columns
-    radius, height = profile[:, 0, None], profile[:, 1, None]
-    return np.stack(
-        np.broadcast_arrays(radius * np.sin(angles), height, -radius * np.cos(angles)), axis=-1
-    )
-
-
-def _refine(profile: Array, step: float) -> Array:
-    """Points on the straight lines between profile points, at most ``step`` apart."""
-    pieces = [profile[:1]]
-    for a, b in itertools.pairwise(profile):
-        count = max(1, int(np.ceil(np.sqrt(np.sum((b - a) ** 2)) / step)))
-        pieces.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
-    return np.concatenate(pieces)
-
-
-def _solid(rings: Array) -> Mesh:
-    vertices, triangles = _loft(rings)
-    return _finish(vertices, np.concatenate(triangles))
 
 
 def _bottle(height: float, radius: float, neck_radius: float, shoulder: float, neck: float) -> Mesh:
@@ -192,7 +121,7 @@ def _bottle(height: float, radius: float, neck_radius: float, shoulder: float, n
             ],
         ]
     )
-    return solid_of_revolution(_refine(profile, 0.02))
+    return solid_of_revolution(refine(profile, 0.02))
 
 
 def _bowl(height: float, radius: float, foot: float, belly: float, wall: float) -> Mesh:
@@ -230,7 +159,7 @@ def _can(height: float, radius: float, lid: float, taper: float) -> Mesh:
             [r_lid - 1.5 * rim, height - 0.004],
         ]
     )
-    return solid_of_revolution(_refine(profile, 0.02))
+    return solid_of_revolution(refine(profile, 0.02))
 
 
 def _laptop(
@@ -267,7 +196,7 @@ def _laptop(
         [np.repeat(inside, len(steps), axis=1), np.repeat(outside, len(steps), axis=1)], axis=1
     )
     x = np.broadcast_to(np.concatenate([steps, steps[::-1]]), sections.shape[:2])
-    return _solid(np.concatenate([x[..., None], sections], axis=-1))
+    return solid(np.concatenate([x[..., None], sections], axis=-1))
 
 
 def _camera(
@@ -312,7 +241,7 @@ def _camera(
         ring(0.78 * barrel, z0 - lens_length + 0.006),
         ring(0.4 * barrel, z0 - lens_length + 0.004),
     ]
-    return _solid(np.stack(rings))
+    return solid(np.stack(rings))
 
 
 def _outline(
@@ -334,132 +263,11 @@ def _outline(
     return np.maximum(body, np.minimum(to_top, to_side))[:, None] * ray
 
 
-def _mug(
-    height: float,
-    radius: float,
-    foot: float,
-    wall: float,
-    handle_reach: float,
-    handle_height: float,
-    handle_thickness: float,
-) -> Mesh:
-    """A hollow body; the handle is a tube that grows out of two holes in its outer wall."""
-    wide, tall, rows = 4, 2, 17  # a handle's end is wide x tall quads of the wall
-    half = handle_height * height / 2
-    # rows of the outer wall, so that two pairs of them enclose the handle's ends
-    ends = [(rows // 2) + side * 5 for side in (-1, 1)]
-    knots = [0, ends[0] - 1, ends[0] + 1, ends[1] - 1, ends[1] + 1, rows - 1]
-    thick = handle_thickness / 2
-    mid = height / 2
-    levels = np.interp(
-        np.arange(rows),
-        knots,
-        [
-            0.004,
-            mid - half - thick,
-            mid - half + thick,
-            mid + half - thick,
-            mid + half + thick,
-            height,
-        ],
-    )
-    widening = foot + (1 - foot) * levels / height
-    outer = np.stack([radius * widening, levels], axis=1)
-    inner_levels = np.array([height, 0.66 * height, 0.33 * height, 2.5 * wall])
-    inner = np.stack(
-        [radius * (foot + (1 - foot) * inner_levels / height) - wall, inner_levels], axis=1
-    )
-    r_foot = foot * radius
-    profile = np.concatenate(
-        [
-            [[0.85 * r_foot, 0.002], [0.9 * r_foot, 0.0], [r_foot - 0.002, 0.0]],
-            outer,
-            [[radius - wall / 2, height + wall / 4]],
-            inner,
-            [[r_foot - 3 * wall, 1.5 * wall]],
-        ]
-    )
-    # columns are counted from half a handle's width before -z
-    rings = np.roll(_revolve(profile), wide // 2, axis=1)
-    vertices, parts = _loft(rings)
-    first = 3  # the first row of the outer wall
-    for row in ends:
-        for ring in range(first + row - tall // 2, first + row + tall // 2):
-            # part 0 closes the bottom, so the quads above ring i are part i + 1
-            parts[ring + 1] = _side(ring * _SEGMENTS, (ring + 1) * _SEGMENTS, _SEGMENTS, skip=wide)
-    loops = [_patch_boundary(first + row, wide, tall) for row in ends]
-    tube, sides = _handle(vertices, loops, handle_reach, handle_thickness)
-    return _finish(np.concatenate([vertices, tube]), np.concatenate([*parts, *sides]))
-
-
-def _patch_boundary(row: int, wide: int, tall: int) -> NDArray[np.int64]:
-    """Vertices around the hole that is centred on ring ``row``: counter-clockwise from below."""
-    low, high = row - tall // 2, row + tall // 2
-    cells = (
-        [(low, c) for c in range(wide)]
-        + [(r, wide) for r in range(low, high)]
-        + [(high, c) for c in range(wide, 0, -1)]
-        + [(r, 0) for r in range(high, low, -1)]
-    )
-    return np.array([r * _SEGMENTS + c for r, c in cells])
-
-
-def _handle(
-    vertices: Array, loops: list[NDArray[np.int64]], reach: float, thickness: float
-) -> tuple[Array, list[NDArray[np.int64]]]:
-    """Rings of a tube from the upper hole's boundary to the lower one's, and its triangles."""
-    lower, upper = loops
-    n = len(lower)
-    boundary = vertices[upper]
-    middle = {name: vertices[loop].mean(axis=0) for name, loop in (("low", lower), ("up", upper))}
-    # elliptic cross-sections; their vertices keep the bearings that they have on the boundary
-    bearing = np.arctan2(
-        (boundary[:, 1] - middle["up"][1]) / np.ptp(boundary[:, 1]),
-        (boundary[:, 0] - middle["up"][0]) / np.ptp(boundary[:, 0]),
-    )
-    across, along = np.cos(bearing) * 0.8 * thickness, np.sin(bearing) * 0.5 * thickness
-    t = np.linspace(0, np.pi, 19)[1:-1]
-    # half a superellipse: squarer than a circle, as handles are
-    power = 0.75
-    y = np.sign(np.cos(t)) * np.abs(np.cos(t)) ** power
-    centre_y = middle["low"][1] + (middle["up"][1] - middle["low"][1]) * (1 + y) / 2
-    base_z = middle["low"][2] + (middle["up"][2] - middle["low"][2]) * (1 + y) / 2
-    path = np.stack([base_z - reach * np.sin(t) ** power, centre_y], axis=1)  # (z, y)
-    ends = np.array([[middle[k][2], middle[k][1]] for k in ("up", "low")])
-    tangent = np.diff(np.concatenate([ends[:1], path, ends[1:]]), axis=0)
-    tangent = tangent[:-1] + tangent[1:]
-    tangent /= np.sqrt(np.sum(tangent**2, axis=1))[:, None]
-    # at the upper end the tangent is -z and "up" in the cross-section is +y
-    normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)  # (z, y)
-    rings = np.stack(
-        [
-            np.broadcast_to(across, (len(t), n)),
-            path[:, 1, None] + normal[:, 1, None] * along,
-            path[:, 0, None] + normal[:, 0, None] * along,
-        ],
-        axis=-1,
-    )
-    # walked outwards and back the section turns over: the lower boundary is met mirrored
-    mirrored = np.array([int(np.argmin(np.abs(_wrap(bearing + b)))) for b in bearing])
-    start = len(vertices)
-    sequence = [upper, *(start + i * n + np.arange(n) for i in range(len(t))), lower[mirrored]]
-    sides = []
-    for a, b in itertools.pairwise(sequence):
-        quad = np.stack([a, np.roll(a, -1), np.roll(b, -1), b], axis=1)
-        sides += [quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]
-    return rings.reshape(-1, 3), sides
-
-
-def _wrap(angle: Array) -> Array:
-    wrapped: Array = (angle + np.pi) % (2 * np.pi) - np.pi
-    return wrapped
-
-
 _BUILDERS: dict[str, Callable[..., Mesh]] = {
     "bottle": _bottle,
     "bowl": _bowl,
     "camera": _camera,
     "can": _can,
     "laptop": _laptop,
-    "mug": _mug,
+    "mug": mug,
 }

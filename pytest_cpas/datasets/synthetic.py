@@ -53,7 +53,7 @@ from PIL import Image
 from scipy import ndimage
 
 from pytest_cpas._files import cache_folder
-from pytest_cpas.datasets import _scenes, rendering, shapes
+from pytest_cpas.datasets import _mug, _rings, _scenes, rendering, shapes
 from pytest_cpas.datasets._scenes import SCENERY, HandheldScene, Item, TabletopScene
 from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree
 from pytest_cpas.datasets.rendering import Rendering, camera_rays, render
@@ -73,6 +73,9 @@ __all__ = [
 HANDHELD_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 SEED = 20230517
+
+#: The modules that decide what is made, beside this one.
+MAKERS = (shapes, _rings, _mug, rendering, _scenes)
 
 #: An object of which fewer pixels are seen with depth, or less of its box in the image, is left
 #: out: nobody could tell its pose.
@@ -148,8 +151,8 @@ def _cached(split: Split) -> Path:
 def _recipe() -> str:
     """A digest of the code that decides the content: a changed recipe gets another folder."""
     digest = hashlib.sha256()
-    for file in (shapes.__file__, rendering.__file__, _scenes.__file__, __file__):
-        digest.update(Path(file).read_bytes())
+    for file in (*(module.__file__ for module in MAKERS), __file__):
+        digest.update(Path(str(file)).read_bytes())
     return digest.hexdigest()[:12]
 
 

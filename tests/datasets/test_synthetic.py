@@ -4,7 +4,6 @@ The truth that the files are held against is found from the written meshes, pose
 numpy, scipy and trimesh alone; no test of content goes through the renderer that made it.
 """
 
-import hashlib
 import os
 import pickle
 import pickletools
@@ -28,8 +27,8 @@ from scipy.spatial.transform import Rotation
 from pytest_cpas.datasets import _scenes, synthetic
 from pytest_cpas.datasets.nocs import NocsTree
 from pytest_cpas.datasets.rendering import render
-from pytest_cpas.datasets.synthetic import HANDHELD, TABLETOP, Split, generate, measure
-from pytest_cpas.types import CATEGORIES, Array, Camera, Mesh, Pose
+from pytest_cpas.datasets.synthetic import HANDHELD, TABLETOP, generate
+from pytest_cpas.types import CATEGORIES, Array, Mesh
 
 INTRINSICS = {
     "synthetic-tabletop": (591.0125, 590.16775, 322.525, 244.11084),
@@ -426,161 +425,3 @@ def test_objects_occlude_each_other(full: dict[str, tuple[NocsTree, list[Seen]]]
             shares.append(sample.observation.mask.sum() / (alone.instance == 0).sum())
         assert np.mean(np.array(shares) < 0.95) > (0.15 if name == "synthetic-tabletop" else 0.7)
         assert min(shares) > 0.25
-
-
-# -- the sensor -----------------------------------------------------------------------------
-
-
-def wall(distance: float, tilt: float, camera: Camera, seed: int) -> NDArray[np.uint16]:
-    """Measurements of a plane that is ``tilt`` degrees off facing the central pixel."""
-    c, s = np.cos(np.deg2rad(tilt)), np.sin(np.deg2rad(tilt))
-    square = Mesh(
-        np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 100,
-        np.array([[0, 1, 2], [0, 2, 3]]),
-    )
-    pose = Pose(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), [0, 0, distance])
-    return measure(render([(square, pose)], camera), camera, np.random.default_rng(seed))
-
-
-# so long a lens that all rays are nearly parallel
-TELE = Camera(120, 100, 20000.0, 20000.0, 59.5, 49.5)
-
-
-@pytest.mark.parametrize(("distance", "millimetres"), [(0.5, 1.219), (1.0, 1.884), (2.0, 6.064)])
-def test_axial_noise_is_that_of_nguyen_et_al(distance: float, millimetres: float) -> None:
-    measured = wall(distance, 0, TELE, seed=1).astype(float)
-    assert np.all(measured > 0)
-    assert measured.mean() == pytest.approx(1000 * distance, abs=0.2)
-    # rounding to millimetres adds a variance of 1/12
-    assert measured.std() == pytest.approx(np.hypot(millimetres, 12**-0.5), rel=0.03)
-
-
-def test_noise_grows_towards_grazing_angles() -> None:
-    # 69 degrees at 1 m: 1.884 + 0.1 * 1.2043^2 / 0.3665^2 = 2.964 mm, along the wall's profile
-    camera = Camera(5, 4000, 2e6, 2e6, 2.0, 1999.5)
-    measured = wall(1.0, 69, camera, seed=2).astype(float)
-    assert np.all(measured > 0)
-    assert measured.std() == pytest.approx(np.hypot(2.964, 12**-0.5), rel=0.03)
-
-
-@pytest.mark.parametrize(
-    ("tilt", "share"), [(0, 0.0), (60, 0.0), (69, 0.0), (77.5, 0.5), (86, 1.0)]
-)
-def test_grazing_angles_are_missing(tilt: float, share: float) -> None:
-    camera = Camera(100, 80, 1e6, 1e6, 49.5, 39.5)
-    assert np.mean(wall(0.8, tilt, camera, seed=3) == 0) == pytest.approx(share, abs=0.02)
-
-
-def test_depth_edges_and_nothing_are_missing() -> None:
-    square = Mesh(
-        np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 0.1,
-        np.array([[0, 1, 2], [0, 2, 3]]),
-    )
-    camera = Camera(640, 480, 525, 525, 319.5, 239.5)
-    scene = render(
-        [
-            (square, Pose(np.eye(3), [0, 0, 0.8])),
-            (Mesh(square.vertices * 4, square.triangles), Pose(np.eye(3), [0, 0, 1.0])),
-        ],
-        camera,
-    )
-    measured = measure(scene, camera, np.random.default_rng(0))
-    assert not measured[scene.instance < 0].any()
-    inner = scene.instance == 0
-    edge = ndimage.binary_dilation(inner) & ~ndimage.binary_erosion(inner)
-    assert np.mean(measured[edge] == 0) == pytest.approx(0.8, abs=0.08)
-    flat = ndimage.binary_erosion(scene.instance >= 0, iterations=2)
-    flat &= ~ndimage.binary_dilation(inner, iterations=3)
-    assert np.all(measured[flat] > 0)
-    # a step of 1 cm at 1 m is no edge
-    shallow = render(
-        [
-            (square, Pose(np.eye(3), [0, 0, 0.99])),
-            (Mesh(square.vertices * 4, square.triangles), Pose(np.eye(3), [0, 0, 1.0])),
-        ],
-        camera,
-    )
-    measured = measure(shallow, camera, np.random.default_rng(0))
-    assert np.all(measured[ndimage.binary_erosion(shallow.instance >= 0, iterations=2)] > 0)
-
-
-# -- the cache ------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> type[synthetic.SyntheticHandheld]:
-    """The handheld class with one scene of one frame, and an empty cache of its own."""
-    monkeypatch.setenv("CPAS_CACHE", str(tmp_path / "cache"))
-    split = Split("small", 1, HANDHELD.camera, 1, 1, HANDHELD.kind)
-    return type("Small", (synthetic.SyntheticHandheld,), {"split": split})
-
-
-def test_it_is_made_once(small: type[synthetic.SyntheticHandheld], tmp_path: Path) -> None:
-    first = small(None)
-    assert [ref.category for ref in first.samples] == ["bottle"]
-    assert first.root.parent == tmp_path / "cache"
-    before = {p: p.stat().st_mtime_ns for p in first.root.rglob("*")}
-    again = small(tmp_path / "elsewhere")  # --cpas-data is for data sets that are published
-    assert (again.root, again.digest) == (first.root, first.digest)
-    assert before == {p: p.stat().st_mtime_ns for p in again.root.rglob("*")}
-    assert [p.name for p in first.root.parent.iterdir()] == [first.root.name]
-
-
-def test_digest_is_of_the_decoded_content(small: type[synthetic.SyntheticHandheld]) -> None:
-    tree = small(None)
-    digest = hashlib.sha256()
-    stem = tree.root / "real_test/scene_1"
-    for kind in ("color", "depth", "mask", "coord"):
-        digest.update(np.asarray(Image.open(stem / f"0000_{kind}.png")).tobytes())
-    digest.update((stem / "0000_meta.txt").read_bytes())
-    truth = tree.root / "gts/real_test/results_real_test_scene_1_0000.pkl"
-    digest.update(read_pickle(truth)["gt_RTs"].tobytes())
-    digest.update((tree.root / "fixed_real_test_obj_models/bottle_0.obj").read_bytes())
-    digest.update((tree.root / "obj_models/real_test/bottle_0.txt").read_bytes())
-    assert tree.digest == digest.hexdigest()
-
-
-def test_a_failure_leaves_nothing_behind(
-    small: type[synthetic.SyntheticHandheld], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def fail(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(synthetic._Writer, "finish", fail)
-    with pytest.raises(KeyboardInterrupt):
-        small(None)
-    assert list((tmp_path / "cache").iterdir()) == []
-
-
-def test_a_faster_process_wins(
-    small: type[synthetic.SyntheticHandheld], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def overtaken(split: Split, root: Path) -> None:
-        generate(split, root)
-        monkeypatch.setattr(synthetic, "generate", generate)
-        small(None)
-        marker = next(p for p in root.parent.iterdir() if not p.name.startswith("."))
-        (marker / "first").touch()
-
-    monkeypatch.setattr(synthetic, "generate", overtaken)
-    tree = small(None)
-    assert (tree.root / "first").is_file()
-    assert [p.name for p in (tmp_path / "cache").iterdir()] == [tree.root.name]
-
-
-def test_a_cache_that_cannot_be_written_is_named(
-    small: type[synthetic.SyntheticHandheld], tmp_path: Path
-) -> None:
-    (tmp_path / "cache").write_text("a file, not a folder")
-    with pytest.raises(RuntimeError, match=r"small is made on first use.*Set CPAS_CACHE"):
-        small(None)
-
-
-def test_another_recipe_gets_another_folder(
-    small: type[synthetic.SyntheticHandheld], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    first = small(None).root
-    changed = tmp_path / "shapes.py"
-    changed.write_bytes(Path(synthetic.shapes.__file__).read_bytes() + b"\n")
-    monkeypatch.setattr(synthetic.shapes, "__file__", str(changed))
-    assert small(None).root != first
