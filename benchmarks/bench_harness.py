@@ -23,7 +23,7 @@ DEPTH = np.ones((6, 8), np.float32)
 OBSERVATION = Observation("mug", np.zeros((6, 8, 3), np.float32), DEPTH, DEPTH > 0, CAMERA)
 TRUTH = GroundTruth(Pose(np.eye(3), [0, 0, 1]), EXTENTS, Symmetry.none())
 
-class Empty:
+class Empty(Dataset):
     name, digest, missing, damaged = "empty", "1", (), ()
 
     def __init__(self, data_dir):

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         Sample,
         SampleRef,
         Symmetry,
+        WrappedDataset,
     )
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "Sample",
     "SampleRef",
     "Symmetry",
+    "WrappedDataset",
 ]
 
 find_moved_modules()

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import inspect
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from pytest_cpas.types import Dataset
 
 Kind = Literal["method", "dataset", "metric"]
 
@@ -68,6 +72,26 @@ def resolve(kind: Kind, name: str) -> Any:
         )
     entry = entries[0]
     return _load(kind, name, entry.module, entry.attr, f", registered by {_owner(entry)}")
+
+
+def open_dataset(name: str, data_dir: Path | None) -> Dataset:
+    """Make the data set that ``name`` names for :func:`resolve`, in the folder ``data_dir``.
+
+    Raises what :func:`resolve` raises, :class:`pytest_cpas.types.DataError` for what is no data
+    set, and what the data set itself raises, such as :class:`FileNotFoundError`.
+    """
+    from pytest_cpas.types import as_dataset  # numpy, which the plugin starts without
+
+    make = resolve("dataset", name)
+    if not callable(make):
+        raise RegistryError(
+            f"data set {name!r}: {type(make).__name__} {make!r} cannot be called; expected a class"
+            " that inherits from pytest_cpas.Dataset"
+        )
+    if inspect.isabstract(make):
+        lacks = ", ".join(sorted(make.__abstractmethods__))
+        raise RegistryError(f"data set {name!r}: the class {make.__name__} has no {lacks}")
+    return as_dataset(make(data_dir), name)
 
 
 def _owner(entry: EntryPoint) -> str:

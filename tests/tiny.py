@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from pytest_cpas.types import (
     Camera,
     ContractError,
+    Dataset,
     GroundTruth,
     Hypothesis,
     MethodInfo,
@@ -45,7 +46,7 @@ def truth(index: int) -> GroundTruth:
     )
 
 
-class Tiny:
+class Tiny(Dataset):
     name = "tiny"
     digest = "tiny-1"
     missing = ()

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import functools
 import inspect
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from abc import abstractmethod
 from pathlib import Path
 from typing import Any
 
 from pytest_cpas.datasets._index import Scan, read_index
 from pytest_cpas.datasets.sources import how_to_get
 from pytest_cpas.reading.images import read_depth, read_ids, read_rgb
-from pytest_cpas.types import GroundTruth, Sample, SampleRef
+from pytest_cpas.types import Dataset, GroundTruth, SampleRef
 
 
-class Tree(ABC):
+class Tree(Dataset):
     """A data set below the folder ``root``: listed from its index, read sample by sample.
 
-    ``samples``, ``missing``, ``damaged``, ``absent`` and ``digest`` are those of
-    :class:`pytest_cpas.types.Dataset`. An image is decoded once for the objects of its frame.
+    An image is decoded once for the objects of its frame.
     """
 
     def __init__(self, name: str, root: Path) -> None:
@@ -28,9 +26,9 @@ class Tree(ABC):
         self.root = root
         sources = [inspect.getfile(kind) for kind in type(self).__mro__ if issubclass(kind, Tree)]
         index = read_index(name, root, self.scan, sources)
-        self.samples: Sequence[SampleRef] = index.samples
-        self.missing: Sequence[str] = index.missing
-        self.damaged: Sequence[str] = index.damaged
+        self.samples = index.samples
+        self.missing = index.missing
+        self.damaged = index.damaged
         self.absent = frozenset(index.absent)
         self.digest = index.digest
         self._details: dict[str, Any] = {
@@ -47,10 +45,6 @@ class Tree(ABC):
     @abstractmethod
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about a sample; :class:`DataError` names what is damaged."""
-
-    @abstractmethod
-    def load(self, ref: SampleRef) -> Sample:
-        """Read one sample; :class:`DataError` names the file that is damaged."""
 
 
 def find_root(name: str, data_dir: Path | None, mark: str, *folders: str) -> Path:

@@ -76,6 +76,8 @@ class Listed(NamedTuple):
 class NocsTree(Tree):
     """The test split below ``root`` as a data set; see the module's docstring for the layout."""
 
+    camera: Camera
+
     #: The folder of the frames, the lines of a meta file, and where a model's mesh may be.
     frames = "real_test"
     meta = "mask_id class_id model"

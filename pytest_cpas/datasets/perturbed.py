@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import re
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,11 +19,11 @@ from scipy.ndimage import distance_transform_edt
 
 from pytest_cpas.types import (
     Dataset,
-    GroundTruth,
     MethodInfo,
     Observation,
     Sample,
     SampleRef,
+    WrappedDataset,
 )
 from pytest_cpas.types.samples import evenly
 
@@ -31,9 +31,6 @@ SEVERITIES = 3
 
 #: Samples of a data set that the profile judges, evenly spaced.
 SAMPLES = 36
-
-#: The name of the part that the profile judges as it is.
-UNPERTURBED = "unperturbed"
 
 #: Width of the squares in which depth is missing together, pixels.
 _PATCH = 8
@@ -148,44 +145,71 @@ PERTURBATIONS = {
 }
 
 
-class Perturbed:
+@dataclass(frozen=True)
+class RobustnessPoint:
+    """A point of the curves: part of the data set ``base`` under a ``perturbation`` (its name) of
+    ``severity`` 1 to :data:`SEVERITIES`; as it is where they are None and 0."""
+
+    base: str
+    perturbation: str | None = None
+    severity: int = 0
+
+    @property
+    def dataset(self) -> str:
+        """The name of the data set that the point is, which rows, results and tables carry."""
+        return f"{self.base}+{self.suffix}"
+
+    @property
+    def suffix(self) -> str:
+        """What was done to the base."""
+        return f"{self.perturbation}-{self.severity}" if self.perturbation else "unperturbed"
+
+    @classmethod
+    def named(cls, dataset: str) -> RobustnessPoint | None:
+        """The point that the name of a data set tells; None if it is none.
+
+        For results and reports, of which nothing but the name is left.
+        """
+        match = re.fullmatch(r"(.+)\+(?:([a-z-]+)-(\d+)|unperturbed)", dataset)
+        return cls(match[1], match[2], int(match[3] or 0)) if match else None
+
+
+class Perturbed(WrappedDataset):
     """A part of a data set under a perturbation; without one, as it is.
 
-    Its name carries both, so that rows, results and golden tables are those of a data set of its
-    own, whose list of samples is complete.
+    ``point`` says which. It is a data set of its own, whose list of samples is complete, so that
+    it has rows, results and golden tables of its own.
     """
 
     def __init__(
         self, dataset: Dataset, perturbation: Perturbation | None = None, severity: int = 0
     ) -> None:
         """Select evenly spaced samples; nothing is read."""
-        self._dataset, self._perturbation, self._severity = dataset, perturbation, severity
-        suffix = f"{perturbation.name}-{severity}" if perturbation else UNPERTURBED
-        self.name = f"{dataset.name}+{suffix}"
-        absent: frozenset[str] = getattr(dataset, "absent", frozenset())
-        present = [ref for ref in dataset.samples if ref.id not in absent]
-        self.samples: Sequence[SampleRef] = evenly(present, SAMPLES)
-        self.missing = dataset.missing
-        self.damaged = dataset.damaged
-        level = perturbation.levels[severity - 1] if perturbation else 0
-        parts = (dataset.digest, suffix, str(level), *(ref.id for ref in self.samples))
+        super().__init__(dataset)
+        self._perturbation = perturbation
+        name = perturbation.name if perturbation else None
+        self.point = RobustnessPoint(dataset.name, name, severity)
+        self.name = self.point.dataset
+        present = [ref for ref in dataset.samples if ref.id not in dataset.absent]
+        self.samples = evenly(present, SAMPLES)
+        self._level = perturbation.levels[severity - 1] if perturbation else 0
+        parts = (
+            dataset.digest,
+            self.point.suffix,
+            str(self._level),
+            *(ref.id for ref in self.samples),
+        )
         self.digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def load(self, ref: SampleRef) -> Sample:
         """The sample with what is seen of it perturbed."""
-        sample = self._dataset.load(ref)
+        sample = super().load(ref)
         if self._perturbation is None:
             return sample
         seed = [zlib.crc32(ref.id.encode()), zlib.crc32(self._perturbation.name.encode())]
-        level = self._perturbation.levels[self._severity - 1]
         rng = np.random.default_rng(seed)
-        return replace(sample, observation=self._perturbation.apply(sample.observation, level, rng))
-
-    def truth(self, ref: SampleRef) -> GroundTruth:
-        """The truth, which no perturbation changes."""
-        read = getattr(self._dataset, "truth", None)
-        truth: GroundTruth = self._dataset.load(ref).truth if read is None else read(ref)
-        return truth
+        seen = self._perturbation.apply(sample.observation, self._level, rng)
+        return replace(sample, observation=seen)
 
 
 def perturbed(dataset: Dataset, info: MethodInfo) -> Iterator[Perturbed]:
@@ -195,11 +219,3 @@ def perturbed(dataset: Dataset, info: MethodInfo) -> Iterator[Perturbed]:
         if perturbation.needs & info.needs:
             for severity in range(1, SEVERITIES + 1):
                 yield Perturbed(dataset, perturbation, severity)
-
-
-def perturbation_of(dataset: str) -> tuple[str, str, int] | None:
-    """Base, perturbation and severity (0: unperturbed) that the name of a data set carries."""
-    match = re.fullmatch(r"(.+)\+(?:([a-z-]+)-(\d+)|unperturbed)", dataset)
-    if not match:
-        return None
-    return match[1], match[2] or UNPERTURBED, int(match[3] or 0)

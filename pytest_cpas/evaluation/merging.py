@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation.results import (
     Results,
     ResultsError,
@@ -15,8 +16,8 @@ from pytest_cpas.evaluation.results import (
     read_results,
 )
 from pytest_cpas.evaluation.rows import Row
-from pytest_cpas.evaluation.runs import Run, SampleError, has_quick_truth, read_truth
-from pytest_cpas.types import Dataset, GroundTruth, SampleRef
+from pytest_cpas.evaluation.runs import Run, SampleError
+from pytest_cpas.types import DataError, Dataset, GroundTruth, SampleRef, raised_as
 
 __all__ = ["MergedRun", "merge"]
 
@@ -42,6 +43,7 @@ class MergedRun(Run):
         self.listed = Counter(header.listed)
         self.provenance = header.provenance
         self.seeds = header.seeds
+        self.robustness_point = RobustnessPoint.named(header.dataset)
         self.under_contract = header.under_contract
         #: What the checks of the contract found, shard by shard.
         self.contract = [part.contract for part in parts]
@@ -55,11 +57,12 @@ class MergedRun(Run):
                 f"{self.method} on {self.dataset} was judged on other data:"
                 f" {self.identity.get('data')}, now {dataset.digest}; leave out --cpas-dataset"
             )
-        self.images, self.quick_truth = dataset, has_quick_truth(dataset)
+        self.images, self.quick_truth = dataset, dataset.quick_truth
 
+    @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth | None:
         """The truth about one sample, if the data set is at hand."""
-        return None if self.images is None else read_truth(self.images, ref)
+        return None if self.images is None else self.images.truth(ref)
 
     def judge(self, ref: SampleRef) -> Row:
         """The stored row; raises the stored error."""

@@ -8,20 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
 from pytest_cpas.evaluation.measuring import declared_part, measure
 from pytest_cpas.evaluation.rows import Row, outcomes
-from pytest_cpas.evaluation.runs import (
-    Run,
-    SampleError,
-    Selection,
-    has_quick_truth,
-    read_sample,
-    read_truth,
-)
+from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.types import (
     AnswerError,
-    Camera,
     ContractError,
     DataError,
     Dataset,
@@ -31,7 +24,9 @@ from pytest_cpas.types import (
     Prediction,
     Sample,
     SampleRef,
+    as_dataset,
     assets_of,
+    raised_as,
 )
 from pytest_cpas.types.frames import to_standard
 
@@ -80,18 +75,17 @@ class MethodRun(Run):
         another run of the same method, which is then loaded once for both. ``keeps_shapes``: the
         rows of samples that are not correct everywhere have the estimated shape, for a picture.
         """
-        self._method, self._dataset = method, dataset
+        self._method, self._dataset = method, (dataset := as_dataset(dataset))
         self._weights, self._device = weights, device
         self.seed, self.seeds, self.shared = seed, seeds, shared
         self.loading: Loading = shared.loading if shared else Loading(method, weights, device)
         self._keeps_shapes = keeps_shapes
         self.under_contract = shared is None
         self.info = method.info
-        self.quick_truth = has_quick_truth(dataset)
-        camera = getattr(dataset, "camera", None)
-        self.focal = camera.fx if isinstance(camera, Camera) else None
-        absent: frozenset[str] = getattr(dataset, "absent", frozenset())
-        present = [s for s in dataset.samples if s.id not in absent]
+        self.quick_truth = dataset.quick_truth
+        self.focal = dataset.camera.fx if dataset.camera else None
+        self.robustness_point = dataset.point if isinstance(dataset, Perturbed) else None
+        present = [s for s in dataset.samples if s.id not in dataset.absent]
         known = [s for s in present if s.category in method.info.categories]
         missing = list(dataset.missing)
         unknown = sorted({s.category for s in present} - set(method.info.categories))
@@ -132,13 +126,15 @@ class MethodRun(Run):
         made.load(self._weights, self._device)
         return made
 
+    @raised_as(DataError)
     def read(self, ref: SampleRef) -> Sample:
         """One sample; :class:`DataError` if it is damaged."""
-        return read_sample(self._dataset, ref)
+        return self._dataset.load(ref)
 
+    @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample; raises :class:`DataError` if it is damaged."""
-        return read_truth(self._dataset, ref)
+        return self._dataset.truth(ref)
 
     def judge(self, ref: SampleRef) -> Row:
         """Read, predict, validate, measure."""

@@ -43,10 +43,8 @@ from pytest_cpas.types import (
     Prediction,
     SampleRef,
 )
+from pytest_cpas.types.datasets import STORED
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
-
-#: What stored predictions call their data set.
-STORED = "stored"
 
 #: A detection belongs to a ground truth if their 2-D boxes overlap at least this much.
 DETECTION_IOU = 0.5

@@ -10,6 +10,7 @@ from pytest_cpas.metrics.definitions import definition
 from pytest_cpas.metrics.precision import FAILED, PAPER_THRESHOLDS, Count, Errors, JointThreshold
 from pytest_cpas.metrics.surfaces import SAMPLE_COUNT
 from pytest_cpas.types import SampleRef
+from pytest_cpas.types.samples import ALL
 
 __all__ = [
     "DEFINITIONS",
@@ -103,7 +104,7 @@ def precision_table(judged: Iterable[tuple[str, str]]) -> Table:
     """The table of samples given as (category, outcome)."""
     groups: dict[str, list[str]] = {}
     for category, outcome in judged:
-        groups.setdefault("all", []).append(outcome)
+        groups.setdefault(ALL, []).append(outcome)
         groups.setdefault(category, []).append(outcome)
     table: Table = {}
     for category, members in sorted(groups.items()):

@@ -11,19 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation.rows import DEFINITIONS, Row
-from pytest_cpas.types import (
-    DataError,
-    Dataset,
-    GroundTruth,
-    MethodInfo,
-    Sample,
-    SampleRef,
-    raised_as,
-)
+from pytest_cpas.types import GroundTruth, MethodInfo, SampleRef
 from pytest_cpas.types.samples import evenly
 
-__all__ = ["Run", "SampleError", "Selection", "has_quick_truth", "read_sample", "read_truth"]
+__all__ = ["Run", "SampleError", "Selection"]
 
 
 class SampleError(Exception):
@@ -55,6 +48,7 @@ class Run(ABC):
     to be comparable, ``provenance`` what else should be known of this one. ``seeds`` is how often
     each sample is judged. ``info`` is what the method declares, None where only rows are left.
     ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
+    ``robustness_point``: which point of the curves of a robustness profile it is, None for none.
     ``under_contract``: it is a method's first run, which has the checks of the contract.
     """
 
@@ -63,6 +57,7 @@ class Run(ABC):
     info: MethodInfo | None = None
     quick_truth = True
     focal: float | None = None
+    robustness_point: RobustnessPoint | None = None
 
     provenance: Mapping[str, str] = {
         "platform": f"{platform.system()} {platform.machine()}",
@@ -96,22 +91,3 @@ class Run(ABC):
     def truth(self, ref: SampleRef) -> GroundTruth | None:
         """The truth about one sample; None where only its row is left."""
         return None
-
-
-def has_quick_truth(dataset: Dataset) -> bool:
-    """Whether :func:`read_truth` opens no image."""
-    return bool(getattr(dataset, "quick_truth", hasattr(dataset, "truth")))
-
-
-def read_truth(dataset: Dataset, ref: SampleRef) -> GroundTruth:
-    """The truth about one sample of a data set; :class:`DataError` if it is damaged."""
-    read = getattr(dataset, "truth", None)
-    with raised_as(DataError):
-        truth: GroundTruth = dataset.load(ref).truth if read is None else read(ref)
-    return truth
-
-
-def read_sample(dataset: Dataset, ref: SampleRef) -> Sample:
-    """One sample of a data set; :class:`DataError` if it is damaged."""
-    with raised_as(DataError):
-        return dataset.load(ref)

@@ -15,11 +15,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from pytest_cpas.evaluation.predictions import STORED
 from pytest_cpas.golden.comparison import Word
 from pytest_cpas.golden.files import shipped_golden
 from pytest_cpas.metrics.precision import Count, JointThreshold
 from pytest_cpas.types import Verdict
+from pytest_cpas.types.datasets import STORED
+from pytest_cpas.types.samples import ALL, COMPLETENESS
 
 #: Probability that a run that is as good as the published one is called worse.
 FALSE_ALARMS = 0.01
@@ -116,7 +117,7 @@ def published_sample_counts(dataset: str) -> dict[str, int]:
     return {
         line["category"]: int(line["total"])
         for line in _read("precision.csv")
-        if line["dataset"] == dataset and line["category"] != "all"
+        if line["dataset"] == dataset and line["category"] != ALL
     }
 
 
@@ -177,7 +178,7 @@ def compare_published(
     total = max((cell.total for cell in cells), default=0)
     if 0 < seen < total:
         told = f"{seen} of the {total} samples of the published table judged"
-        verdicts.append(Verdict(Word.NOT_CHECKED, "completeness", told))
+        verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
     return verdicts
 
 

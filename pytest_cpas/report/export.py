@@ -7,7 +7,7 @@ import io
 import itertools
 from collections.abc import Iterator, Sequence
 
-from pytest_cpas.datasets.perturbed import perturbation_of
+from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.messages import method_title
@@ -100,7 +100,9 @@ def precision_tex(document: Document) -> str:
     Precision has four decimals, as in the paper; the best three of a column are marked.
     """
     thresholds = document["thresholds"]
-    shown = [group for group in groups(document) if not perturbation_of(group[1][0]["dataset"])]
+    shown = [
+        group for group in groups(document) if not RobustnessPoint.named(group[1][0]["dataset"])
+    ]
     lines = [r"% Precision by pytest-cpas. Needs \usepackage{booktabs}."]
     for first in range(0, len(shown), _BESIDE):
         lines += _overall(shown[first : first + _BESIDE], thresholds)

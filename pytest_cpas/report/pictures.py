@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.documents import AgainstDocument, FlipDocument, RunDocument, SampleDocument
 from pytest_cpas.evaluation import MergedRun, MethodRun, Row, Run
 from pytest_cpas.evaluation.estimates import decode_estimates
@@ -66,7 +65,7 @@ def pictures(
     shown = [
         (run, document, read)
         for run, document in zip(runs, documents, strict=True)
-        if (read := _reader(run)) and not perturbation_of(run.dataset)
+        if (read := _reader(run)) and not run.robustness_point
     ]
     count = min(COUNT, TOTAL // max(1, len(shown)))
     since = {

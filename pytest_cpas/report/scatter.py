@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from pytest_cpas.datasets.perturbed import perturbation_of
+from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
@@ -74,7 +74,7 @@ def methods(document: Document) -> list[Method]:
 
 def dataset_pairs(document: Document) -> list[tuple[str, str]]:
     """Pairs of data sets, of the runs and of the paper, that several methods were judged on."""
-    known = {_dataset(run) for run in document["runs"] if not perturbation_of(run["dataset"])}
+    known = {_dataset(run) for run in document["runs"] if not RobustnessPoint.named(run["dataset"])}
     judged = [method.precision.keys() for method in methods(document)]
     return [
         pair

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
-from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.diagnosis.running import MOST_TRUTHS
 from pytest_cpas.documents import DirectionsDocument, UpAxesDocument
 from pytest_cpas.evaluation import Row, Run
@@ -25,7 +24,7 @@ def up_axes(run: Run, rows: Sequence[Row]) -> UpAxesDocument | None:
     A side is None where nothing is known: no answer is finite, or only rows are left. Truths that
     cost an image each are read of some samples only.
     """
-    if perturbation_of(run.dataset):
+    if run.robustness_point:
         return None
     few = evenly(rows, len(rows) if run.quick_truth else MOST_TRUTHS)
     refs = {ref.id: ref for ref in run.samples}

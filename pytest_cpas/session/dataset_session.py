@@ -36,7 +36,7 @@ class DatasetSession(SuiteSession):
             import_open3d()
             self.checked = [
                 CheckedDataset.of(
-                    registry.resolve("dataset", name)(options.data),
+                    registry.open_dataset(name, options.data),
                     options.selection,
                     options.known_faults,
                 )

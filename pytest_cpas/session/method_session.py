@@ -182,7 +182,7 @@ class CpasSession(SuiteSession):
             self._reporter.document(JudgedRun.unjudged(collected))
             for collected in self.collected.values()
         ]
-        self._reporter.print(terminalreporter, documents)
+        self._reporter.print(terminalreporter, self.runs, documents)
         if self._report:
             terminalreporter.write_line(f"report: {self._report}")
         if self.options.update:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pytest_cpas.datasets.perturbed import perturbation_of
 from pytest_cpas.documents import RunDocument
+from pytest_cpas.evaluation import Run
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.files import write_report
@@ -75,11 +75,18 @@ class Reporter:
         write_report(content, self.folder, drawn)
         return self.folder / "report.html"
 
-    def print(self, terminal: pytest.TerminalReporter, documents: Sequence[RunDocument]) -> None:
-        """Print tables and verdicts; of perturbed data that passes, only its curves."""
-        for run in documents:
+    def print(
+        self,
+        terminal: pytest.TerminalReporter,
+        runs: Sequence[Run],
+        documents: Sequence[RunDocument],
+    ) -> None:
+        """Print tables and verdicts of ``runs``; of perturbed data that passes, only its curves."""
+        points = [run.robustness_point for run in runs]
+        shown = list(zip(points, documents, strict=False))  # not all are judged if that broke off
+        for point, run in shown:
             sound = not any(verdict["outcome"] == "failed" for verdict in run["verdicts"])
-            if perturbation_of(run["dataset"]) and sound and terminal.config.get_verbosity() <= 0:
+            if point and sound and terminal.config.get_verbosity() <= 0:
                 continue  # a point of the curves below
             print_run(terminal, run)
-        print_robustness(terminal, documents)
+        print_robustness(terminal, shown)

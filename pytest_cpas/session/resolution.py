@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pytest_cpas import registry
-from pytest_cpas.datasets.perturbed import perturbation_of, perturbed
+from pytest_cpas.datasets.perturbed import perturbed
 from pytest_cpas.documents import RunConditions, RunDocument
 from pytest_cpas.evaluation import (
     MergedRun,
@@ -40,7 +40,7 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     """
     _check_both_sides(options)
     methods = [make_method(name, options.weights) for name in options.methods]
-    datasets = [registry.resolve("dataset", name)(options.data) for name in options.datasets]
+    datasets = [registry.open_dataset(name, options.data) for name in options.datasets]
     runs: list[Run] = []
     for make, dataset in itertools.product(methods, datasets):
         runs += _method_runs(make(), dataset, options)
@@ -126,7 +126,7 @@ def _method_runs(method: Method, dataset: Dataset, options: RunOptions) -> list[
             seeds=options.seeds,
             selection=options.selection,
             shared=runs[0] if runs else None,
-            keeps_shapes=bool(options.report) and not perturbation_of(part.name),
+            keeps_shapes=bool(options.report) and not options.robustness,
         )
         runs.append(run)
     return runs

@@ -14,6 +14,7 @@ expected and what to look for in an adapter: as :class:`DataError`, :class:`Answ
 
 from pytest_cpas.types._arrays import Array
 from pytest_cpas.types.answers import Hypothesis, Prediction
+from pytest_cpas.types.datasets import Dataset, WrappedDataset, as_dataset
 from pytest_cpas.types.declarations import EQUIVARIANCES, Asset, Method, MethodInfo, assets_of
 from pytest_cpas.types.errors import (
     AnswerError,
@@ -25,7 +26,6 @@ from pytest_cpas.types.errors import (
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
 from pytest_cpas.types.samples import (
     CATEGORIES,
-    Dataset,
     GroundTruth,
     Observation,
     Sample,
@@ -58,6 +58,8 @@ __all__ = [
     "Symmetry",
     "Verdict",
     "VerdictWord",
+    "WrappedDataset",
+    "as_dataset",
     "assets_of",
     "raised_as",
 ]

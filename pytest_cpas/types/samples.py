@@ -1,11 +1,11 @@
-"""What a data set gives: samples, each with what a method may see and the truth."""
+"""Samples, each with what a method may see and the truth."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,28 @@ from pytest_cpas.types._arrays import Array, checked_extents, frozen_array
 from pytest_cpas.types.errors import DataError, raised_as
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
 
-__all__ = ["CATEGORIES", "Dataset", "GroundTruth", "Observation", "Sample", "SampleRef", "evenly"]
+__all__ = [
+    "ALL",
+    "CATEGORIES",
+    "COMPLETENESS",
+    "GroundTruth",
+    "Observation",
+    "Sample",
+    "SampleRef",
+    "evenly",
+]
 
 
 #: The categories of the paper, in the order that the field's class ids 1..6 give them.
 CATEGORIES = ("bottle", "bowl", "camera", "can", "laptop", "mug")
+
+
+#: What tables and verdicts call all categories together. No category is called so.
+ALL = "all"
+
+#: What a verdict on whether all samples are there is about, beside those on categories. No category
+#: is called so.
+COMPLETENESS = "completeness"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,6 +107,8 @@ class SampleRef:
 
     ``id`` is unique in the data set and stable; ``scene`` groups samples that belong together;
     ``model`` is the data set's name of the object, the same for all its samples, if it has one.
+
+    Raises :class:`DataError` for a category that is called as tables call something else.
     """
 
     id: str
@@ -98,6 +117,11 @@ class SampleRef:
     model: str = ""
 
     def __post_init__(self) -> None:
+        if self.category in (ALL, COMPLETENESS):
+            raise DataError(
+                f"sample {self.id}: category {self.category!r}, by which tables and verdicts mean"
+                " something else; give the category another name"
+            )
         # one object each: few differ, but for the id, which rows and golden tables have too
         for name in ("id", "category", "scene", "model"):
             object.__setattr__(self, name, sys.intern(str(getattr(self, name))))
@@ -110,30 +134,6 @@ class Sample:
     ref: SampleRef
     observation: Observation
     truth: GroundTruth
-
-
-@runtime_checkable
-class Dataset(Protocol):
-    """A data set. Made with the folder of ``--cpas-data`` (None if none was given).
-
-    ``samples`` is in a stable order and made without opening an image, or from an index that is
-    made once. ``digest`` identifies the
-    content that the samples are judged by. ``missing``: what a partial copy lacks, one line each.
-    ``damaged``: what could not even be listed, one line each; the run fails over it. A data set may
-    have a set ``absent`` of ids that are listed but whose images are not there, so that only their
-    truth is known: no method is judged on them; ``truth(ref)``, which reads the truth of a sample
-    without its images (with them if ``quick_truth`` is False); and ``camera``, if one took all
-    images.
-    """
-
-    name: str
-    samples: Sequence[SampleRef]
-    digest: str
-    missing: Sequence[str]
-    damaged: Sequence[str]
-
-    def load(self, ref: SampleRef) -> Sample:
-        """Read one sample. Raises :class:`DataError` naming the file that is damaged."""
 
 
 _Value = TypeVar("_Value")

@@ -15,6 +15,7 @@ from method_adapters.icp import Icp
 from pytest_cpas.datasets.shapes import mean_shape
 from pytest_cpas.types import (
     CATEGORIES,
+    Dataset,
     GroundTruth,
     Hypothesis,
     Mesh,
@@ -31,7 +32,7 @@ SCENES = dict.fromkeys(CATEGORIES, 4) | {"mug": 10}
 ROUND = ("bottle", "bowl", "can")
 
 
-class Scenes:
+class Scenes(Dataset):
     """A data set: objects of slightly varied sizes, seen from above, turned and moved at random."""
 
     name = "scenes"

@@ -9,9 +9,10 @@ from pytest_cpas.datasets.perturbed import (
     SAMPLES,
     SEVERITIES,
     Perturbed,
-    perturbation_of,
+    RobustnessPoint,
     perturbed,
 )
+from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.types import Camera, MethodInfo, Observation
 
 HEIGHT, WIDTH = 120, 160
@@ -153,8 +154,8 @@ def test_points_of_the_curves():
     colour = MethodInfo(
         name="m", categories=("mug",), needs=frozenset({"rgb"}), gives=frozenset(), licence="MIT"
     )
-    names = {perturbation_of(point.name)[1] for point in perturbed(Large(), colour)}
-    assert names == {"unperturbed", "mask-erosion", "mask-dilation", "occlusion", "light"}
+    names = {part.point.perturbation for part in perturbed(Large(), colour)}
+    assert names == {None, "mask-erosion", "mask-dilation", "occlusion", "light"}
 
 
 def test_samples_of_a_perturbed_data_set():
@@ -174,12 +175,32 @@ def test_samples_of_a_perturbed_data_set():
     [
         ("real275", None),
         ("synthetic-handheld", None),
-        ("a+unperturbed", ("a", "unperturbed", 0)),
-        ("synthetic-handheld+mask-erosion-2", ("synthetic-handheld", "mask-erosion", 2)),
+        ("a+unperturbed", RobustnessPoint("a")),
+        (
+            "synthetic-handheld+mask-erosion-2",
+            RobustnessPoint("synthetic-handheld", "mask-erosion", 2),
+        ),
     ],
 )
 def test_names_say_what_was_perturbed(name, expected):
-    assert perturbation_of(name) == expected
+    assert RobustnessPoint.named(name) == expected
+
+
+def test_every_point_is_known_by_its_name():
+    seen = frozenset({"depth", "rgb"})
+    needs = MethodInfo(name="m", categories=("mug",), needs=seen, gives=frozenset(), licence="MIT")
+    parts = list(perturbed(Large(), needs))
+    assert len(parts) == 1 + len(PERTURBATIONS) * SEVERITIES
+    for part in parts:
+        assert RobustnessPoint.named(part.name) == part.point
+
+
+def test_a_data_set_is_not_taken_for_a_point_by_its_name():
+    named = tiny.Tiny(None)
+    named.name = "shelf+light-2"
+    assert MethodRun(tiny.Perfect(), named).robustness_point is None
+    point = MethodRun(tiny.Perfect(), Perturbed(named)).robustness_point
+    assert point == RobustnessPoint("shelf+light-2")
 
 
 PROFILE = ("--cpas-profile=robustness", "--cpas-granularity=dataset", "-q")

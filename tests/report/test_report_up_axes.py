@@ -11,6 +11,7 @@ from report_schema import follow_schema
 from scipy.spatial.transform import Rotation
 from tables import a_run, rows, table
 
+from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.evaluation.estimates import encode_estimate
 from pytest_cpas.report.document import document, run_document
@@ -48,7 +49,7 @@ def test_what_is_not_known():
     failed = [replace(row, estimate=None) for row in found]
     assert up_axes(run, failed)["estimate"] is None
     assert up_axes(run, failed)["truth"]["count"] == tiny.COUNT
-    run.dataset = "tiny+occlusion-1"
+    run.robustness_point = RobustnessPoint("tiny", "occlusion", 1)
     assert up_axes(run, found) is None
 
 

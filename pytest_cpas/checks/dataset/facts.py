@@ -26,6 +26,7 @@ from pytest_cpas.types import (
     Observation,
     Pose,
     SampleRef,
+    as_dataset,
 )
 
 __all__ = [
@@ -170,8 +171,8 @@ class Survey:
     def examine(self, dataset: Dataset, ref: SampleRef) -> None:
         """Measure one sample, and its mesh if it is new."""
         try:
-            if ref.id in getattr(dataset, "absent", ()):
-                truth, seen = dataset.truth(ref), None  # type: ignore[attr-defined]
+            if ref.id in dataset.absent:
+                truth, seen = dataset.truth(ref), None
             else:
                 sample = dataset.load(ref)
                 truth, seen = sample.truth, sample.observation
@@ -187,6 +188,7 @@ class Survey:
 
 def survey(dataset: Dataset, refs: Iterable[SampleRef] | None = None) -> Survey:
     """Measure a data set, or the samples ``refs`` of it."""
+    dataset = as_dataset(dataset)
     result = Survey.of(dataset)
     for ref in dataset.samples if refs is None else refs:
         result.examine(dataset, ref)

@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import pytest
 
-from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, UNPERTURBED, perturbation_of
+from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, RobustnessPoint
 from pytest_cpas.documents import RunDocument
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.terminal._table import print_table
 
 
-def print_robustness(terminal: pytest.TerminalReporter, runs: Sequence[RunDocument]) -> None:
-    """One table per method and data set whose perturbations are among the runs."""
-    curves: dict[tuple[str, str], dict[tuple[str, int], RunDocument]] = {}
-    for run in runs:
-        parts = perturbation_of(run["dataset"])
-        if parts is not None:
-            base, name, severity = parts
-            curves.setdefault((run["method"], base), {})[name, severity] = run
+def print_robustness(
+    terminal: pytest.TerminalReporter, runs: Iterable[tuple[RobustnessPoint | None, RunDocument]]
+) -> None:
+    """One table per method and data set, of those runs that are points of curves."""
+    curves: dict[tuple[str, str], dict[RobustnessPoint, RunDocument]] = {}
+    for point, run in runs:
+        if point:
+            curves.setdefault((run["method"], point.base), {})[point] = run
     for (method, base), points in curves.items():
         terminal.section(f"robustness of {method} on {base}", bold=True)
         cells = {point: _cell(run) for point, run in points.items()}
         severities = [f"severity {severity}" for severity in range(SEVERITIES + 1)]
         lines = [[f"correct at {THRESHOLDS[0].label}", *severities, "1, 2, 3 is"]]
         for name, perturbation in PERTURBATIONS.items():
-            if any(point[0] == name for point in cells):
-                at = [cells.get((UNPERTURBED, 0), "-")]
-                at += [cells.get((name, severity), "-") for severity in range(1, SEVERITIES + 1)]
+            if any(point.perturbation == name for point in cells):
+                shown = [RobustnessPoint(base)]
+                shown += [RobustnessPoint(base, name, 1 + i) for i in range(SEVERITIES)]
+                at = [cells.get(point, "-") for point in shown]
                 levels = ", ".join(f"{level:g}" for level in perturbation.levels)
                 lines.append([name, *at, f"{levels}: {perturbation.words}"])
         print_table(terminal, lines)

@@ -1,0 +1,146 @@
+"""What a data set is: samples in a stable order, each read when it is asked for."""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from pytest_cpas._deprecation import deprecated
+from pytest_cpas.types.errors import DataError
+from pytest_cpas.types.geometry import Camera
+from pytest_cpas.types.samples import GroundTruth, Sample, SampleRef
+
+__all__ = ["STORED", "Dataset", "WrappedDataset", "as_dataset"]
+
+#: What the data set of stored predictions is called, which do not say what they were made on. No
+#: other data set is called so.
+STORED = "stored"
+
+
+class Dataset(ABC):
+    """A data set. Its class is called with the folder of ``--cpas-data``: a Path, or None.
+
+    A subclass has :meth:`load` and sets, on the class or when it is made:
+
+    * ``name``, str: what tables, results and golden files call it.
+    * ``samples``, a sequence of :class:`SampleRef`: all of them, in an order that is the same in
+      every process, made without opening an image, or from an index that is made once.
+    * ``digest``, str: identifies the content that the samples are judged by, such as a hash of
+      poses and meshes. Runs with other digests are not compared.
+    * ``missing``, a sequence of str: what a partial copy lacks, one line each; ``()`` for nothing.
+    * ``damaged``, a sequence of str: what could not even be listed, one line each; ``()`` for
+      nothing. The run fails over it.
+
+    The rest has a default:
+
+    * ``absent``, a collection of ids: samples that are listed but whose images are not there, so
+      that only their truth is known. No method is judged on them.
+    * ``camera``, a :class:`Camera`: the one that took all images; None if there are several.
+    * ``quick_truth``, bool: :meth:`truth` opens no image. True where a subclass has a ``truth`` of
+      its own, unless it says otherwise.
+    """
+
+    name: str
+    samples: Sequence[SampleRef]
+    digest: str
+    missing: Sequence[str]
+    damaged: Sequence[str]
+    absent: Collection[str] = frozenset()
+    camera: Camera | None = None
+
+    @functools.cached_property
+    def quick_truth(self) -> bool:
+        """Whether :meth:`truth` opens no image."""
+        return type(self).truth is not Dataset.truth
+
+    @abstractmethod
+    def load(self, ref: SampleRef) -> Sample:
+        """Read one sample. Raises :class:`DataError` naming the file that is damaged."""
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about one sample, of ``absent`` ones too; here that of the loaded sample.
+
+        Raises :class:`DataError` naming the file that is damaged.
+        """
+        return self.load(ref).truth
+
+
+class WrappedDataset(Dataset):
+    """A data set that is another one, but for what a subclass makes different."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        """Be like ``dataset`` in everything."""
+        self._dataset = dataset
+        self.name = dataset.name
+        self.samples = dataset.samples
+        self.digest = dataset.digest
+        self.missing = dataset.missing
+        self.damaged = dataset.damaged
+        self.absent = dataset.absent
+        self.camera = dataset.camera
+        self.quick_truth = dataset.quick_truth
+
+    def load(self, ref: SampleRef) -> Sample:
+        """Read one sample."""
+        return self._dataset.load(ref)
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        """The truth about one sample."""
+        return self._dataset.truth(ref)
+
+
+#: What has no default.
+_REQUIRED = ("name", "samples", "digest", "missing", "damaged", "load")
+
+
+def as_dataset(made: Any, called: str = "") -> Dataset:
+    """``made`` if it is a :class:`Dataset`; what only looks like one is wrapped, with a warning.
+
+    ``called``: how it was asked for. Raises :class:`DataError` that says what it lacks, or that its
+    name is taken.
+    """
+    kind = made if isinstance(made, type) else type(made)
+    lacks = [part for part in _REQUIRED if not hasattr(made, part)]
+    if lacks:
+        seen = "the class itself" if made is kind else "made as"
+        raise DataError(
+            f"data set {called or kind.__name__!r}: {seen} {kind.__module__}.{kind.__qualname__},"
+            f" which has no {', '.join(lacks)}; a data set is made by a class that inherits from"
+            f" pytest_cpas.Dataset and has {', '.join(_REQUIRED)}"
+        )
+    if made.name == STORED:
+        raise DataError(
+            f"data set {called or kind.__name__!r} has the name {STORED!r}, which stands for the"
+            " data set of stored predictions; give it another name"
+        )
+    if isinstance(made, Dataset):
+        return made
+    deprecated(
+        f"{kind.__module__}.{kind.__qualname__}, a data set that does not inherit from"
+        " pytest_cpas.Dataset,",
+        f"class {kind.__name__}(pytest_cpas.Dataset)",
+        "0.3",
+        stacklevel=2,
+    )
+    # of the module of its class, beside which the list of its known faults is
+    adapted = type(kind.__name__, (_Adapted,), {"__module__": kind.__module__})
+    dataset: Dataset = adapted(made)
+    return dataset
+
+
+class _Adapted(WrappedDataset):
+    """What has the parts of a data set but does not inherit from it."""
+
+    def __init__(self, made: Any) -> None:
+        for part in _REQUIRED[:-1]:
+            setattr(self, part, getattr(made, part))
+        self._dataset = made
+        self.absent = getattr(made, "absent", Dataset.absent)
+        self.camera = getattr(made, "camera", None)
+        self._has_truth = hasattr(made, "truth")
+        self.quick_truth = bool(getattr(made, "quick_truth", self._has_truth))
+
+    def truth(self, ref: SampleRef) -> GroundTruth:
+        return super().truth(ref) if self._has_truth else self.load(ref).truth
