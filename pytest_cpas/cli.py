@@ -78,25 +78,25 @@ def command_line() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand and return its exit code."""
     parser = command_line()
-    known, others = parser.parse_known_args(arguments)
-    if known.command == "report" and any(file.endswith(".json") for file in known.files):
-        if others or len(known.files) > 1:
-            rest = " ".join([*known.files[1:], *others])
-            parser.error(f"a report.json stands alone; not understood: {rest}")
-        return _report(Path(known.files[0]), Path(known.to), list(map(Path, known.against)))
-    if known.command in ("merge", "report"):
-        options = [f"--cpas-merge={file}" for file in known.files]
-        if known.command == "report":
-            options += [f"--cpas-report={known.to}"]
-            options += [f"--cpas-against={file}" for file in known.against]
-        return int(pytest.main([*options, *others]))
-    if others:
-        parser.error(f"unrecognized arguments: {' '.join(others)}")
-    if known.command == "fetch":
-        return _fetch(known.name, known.to, known.yes)
-    if known.command == "new-adapter":
-        return _new_adapter(known)
-    return _export_bop(known)
+    options, rest = parser.parse_known_args(arguments)
+    if options.command == "report" and any(file.endswith(".json") for file in options.files):
+        if rest or len(options.files) > 1:
+            unknown = " ".join([*options.files[1:], *rest])
+            parser.error(f"a report.json stands alone; not understood: {unknown}")
+        return _report(Path(options.files[0]), Path(options.to), list(map(Path, options.against)))
+    if options.command in ("merge", "report"):
+        for_pytest = [f"--cpas-merge={file}" for file in options.files]
+        if options.command == "report":
+            for_pytest += [f"--cpas-report={options.to}"]
+            for_pytest += [f"--cpas-against={file}" for file in options.against]
+        return int(pytest.main([*for_pytest, *rest]))
+    if rest:
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if options.command == "fetch":
+        return _fetch(options.name, options.to, options.yes)
+    if options.command == "new-adapter":
+        return _new_adapter(options)
+    return _export_bop(options)
 
 
 def _report(path: Path, to: Path, others: Sequence[Path]) -> int:
@@ -117,31 +117,31 @@ def _report(path: Path, to: Path, others: Sequence[Path]) -> int:
     return 0
 
 
-def _new_adapter(known: argparse.Namespace) -> int:
+def _new_adapter(options: argparse.Namespace) -> int:
     from pytest_cpas.new_adapter import NewAdapterError, new_adapter
 
     try:
-        paths, options = new_adapter(known.name, known.to)
+        paths, next_options = new_adapter(options.name, options.to)
     except (NewAdapterError, OSError) as error:
         print(f"pytest-cpas new-adapter: {error}", file=sys.stderr)
         return 1
     print("wrote", *paths, sep="\n  ")
-    there = "" if known.to == Path() else f"cd {shlex.quote(str(known.to))} && "
-    print(f"next:\n  {there}pytest {options} --cpas-limit=24")
+    there = "" if options.to == Path() else f"cd {shlex.quote(str(options.to))} && "
+    print(f"next:\n  {there}pytest {next_options} --cpas-limit=24")
     return 0
 
 
-def _export_bop(known: argparse.Namespace) -> int:
+def _export_bop(options: argparse.Namespace) -> int:
     from pytest_cpas.evaluation import ResultsError
     from pytest_cpas.evaluation.bop_export import export_bop
     from pytest_cpas.types import ContractError
 
     try:
-        count = export_bop(known.results, known.bop, known.to)
+        count = export_bop(options.results, options.bop, options.to)
     except (ResultsError, ContractError, OSError) as error:
         print(f"pytest-cpas export-bop: {error}", file=sys.stderr)
         return 1
-    print(f"{known.to}: {count} estimates")
+    print(f"{options.to}: {count} estimates")
     return 0
 
 

@@ -12,8 +12,8 @@ from pytest_cpas.types import MethodInfo, assets_of
 def listing(weights: Path | None) -> Iterator[str]:
     """The lines. Methods are imported to be asked for their declaration, and their assets looked
     for below ``weights``; data sets and metrics are named alone."""
-    for kind, words in KINDS.items():
-        yield f"{words}s:"
+    for kind, name in KINDS.items():
+        yield f"{name}s:"
         for entry in registered(kind):
             owner = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown"
             yield f"  {entry.name:24} {entry.value}  ({owner})"
