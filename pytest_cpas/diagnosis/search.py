@@ -22,6 +22,7 @@ from pytest_cpas.diagnosis.fitted import fitted_lengths, fitted_offsets, part_fl
 from pytest_cpas.diagnosis.mistakes import READINGS, Mistake, cameras, object_frames, units
 from pytest_cpas.evaluation.estimates import Estimates
 from pytest_cpas.metrics.precision import Count
+from pytest_cpas.types.samples import ALL
 
 #: An explanation must make at least this share of the answers correct that were not.
 REPAIRED = 0.1
@@ -82,7 +83,7 @@ class Explanation:
 
     def lines(self) -> list[str]:
         """In words: what is wrong, what undoing it repairs, what to change."""
-        where = "" if self.category == "all" else f"{self.category}: "
+        where = "" if self.category == ALL else f"{self.category}: "
         words = ", and ".join(mistake.words for mistake in self.mistakes)
         cures = [mistake.cure for mistake in self.mistakes]
         cure = "both" if len(set(cures)) < len(cures) else " and ".join(cures)
@@ -123,7 +124,7 @@ def _explain_poses(evidence: Evidence) -> tuple[list[Explanation], Evidence]:
     explanations: list[Explanation] = []
     parts: list[Part] = ["pose", "position", "rotation"]
     while parts:
-        found = _explain(evidence, parts[0], "all")
+        found = _explain(evidence, parts[0], ALL)
         if found is None:
             parts.pop(0)
             continue
@@ -177,9 +178,9 @@ def _explain(evidence: Evidence, part: Part, category: str) -> Explanation | Non
     if not len(evidence):
         return None
     searched = evidence
-    if category == "all":  # origins are fitted to each sample, and need them all
+    if category == ALL:  # origins are fitted to each sample, and need them all
         searched = evidence.part(np.arange(len(evidence)) % (len(evidence) // _SEARCHED + 1) == 0)
-    every = list(_candidates(searched, part, origins=category != "all"))
+    every = list(_candidates(searched, part, origins=category != ALL))
     usual = [pair for pair in every if not any(mistake.fitted for mistake in pair[0])]
     for candidates in (every, usual):
         best = _best(candidates, len(searched))
@@ -361,4 +362,4 @@ def _explain_boxes(evidence: Evidence) -> Explanation | None:
     if repaired <= correct:
         return None
     before_after = Count(correct, evidence.total), Count(repaired, evidence.total)
-    return Explanation("all", "box", mistakes, *before_after, ties)
+    return Explanation(ALL, "box", mistakes, *before_after, ties)

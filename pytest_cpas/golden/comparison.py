@@ -23,6 +23,7 @@ from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.golden.spread import FALSE_ALARMS, detectable_loss, fewer, more
 from pytest_cpas.golden.tables import RunTable, TableSample, differences
 from pytest_cpas.types import Verdict, VerdictWord
+from pytest_cpas.types.samples import ALL
 
 #: Samples that a message names before it only counts the rest.
 _NAMED = 8
@@ -83,7 +84,7 @@ def compare(golden: RunTable | None, new: RunTable) -> list[Verdict]:
         return [
             Verdict(
                 Word.NOT_CHECKED,
-                "all",
+                ALL,
                 f"there is no golden table of {new.method} on {new.dataset}; if these results are"
                 " right, record them with --snapshot-update",
             )
@@ -93,7 +94,7 @@ def compare(golden: RunTable | None, new: RunTable) -> list[Verdict]:
         return [
             Verdict(
                 Word.STALE,
-                "all",
+                ALL,
                 f"the golden table was made under other conditions: {'; '.join(stale)}. Restore"
                 " them, or record it anew with --snapshot-update",
             )
@@ -134,7 +135,7 @@ class _Pairing:
         old = golden.samples
         judged = sorted(name for name, sample in new.samples.items() if is_meant(sample))
         return cls(
-            category or "all",
+            category or ALL,
             old,
             new.samples,
             both=[name for name in judged if is_meant(old.get(name))],

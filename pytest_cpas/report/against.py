@@ -21,6 +21,7 @@ from pytest_cpas.golden.spread import fewer, more
 from pytest_cpas.report.document import flip_document
 from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.stored import StoredReportError
+from pytest_cpas.types.samples import ALL
 
 #: What two runs must have in common to be compared.
 _SAME = frozenset({"data", *DEFINITIONS})
@@ -129,8 +130,8 @@ def _precision(
 ) -> Iterator[ChangeDocument]:
     """One entry per category (and "all") and joint threshold, of the samples of both runs."""
     categories = sorted({now[name].category for name in common})
-    for category in (*categories, *(["all"] if common else [])):
-        members = [name for name in common if category in ("all", now[name].category)]
+    for category in (*categories, *([ALL] if common else [])):
+        members = [name for name in common if category in (ALL, now[name].category)]
         for index, threshold in enumerate(THRESHOLDS):
             outcomes = [before[name].outcome[index] + now[name].outcome[index] for name in members]
             known = [pair for pair in outcomes if "-" not in pair]

@@ -45,6 +45,7 @@ from pytest_cpas.golden.published import (
 from pytest_cpas.metrics.precision import Count, curve
 from pytest_cpas.report.published import points, published_count, published_document
 from pytest_cpas.types import Verdict
+from pytest_cpas.types.samples import ALL
 
 FORMAT: Final = 1
 
@@ -195,7 +196,7 @@ def _precision(
             if (cell := paper.get((category, threshold.label)))
             else None,
         }
-        for category in (*sorted({*table, *golden} - {"all"}), *(["all"] if table else []))
+        for category in (*sorted({*table, *golden} - {ALL}), *([ALL] if table else []))
         for threshold in THRESHOLDS
     ]
 

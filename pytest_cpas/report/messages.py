@@ -21,6 +21,7 @@ from pytest_cpas.documents import (
 )
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.document import SEVERITY
+from pytest_cpas.types.samples import ALL
 
 _OUTCOMES: Mapping[ItemOutcome, str] = {
     "failed": "FAILED",
@@ -60,7 +61,7 @@ def judged_message(run: RunDocument) -> str:
 
 def verdict_message(verdict: VerdictDocument) -> str:
     """A verdict on a category, with its details."""
-    subject = "" if verdict["category"] == "all" else f" {verdict['category']}"
+    subject = "" if verdict["category"] == ALL else f" {verdict['category']}"
     return f"{verdict['word']}{subject}: {verdict['details']}"
 
 

@@ -13,6 +13,7 @@ from pytest_cpas.report._axes import Axes
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.messages import duration_message, method_title
 from pytest_cpas.report.tables import Cell, measured_cells, published_cells
+from pytest_cpas.types.samples import ALL
 
 #: Pairs of data sets that a page shows.
 PAIRS = 6
@@ -90,7 +91,7 @@ def _dataset(run: RunDocument) -> str:
 def _overall(cells: Mapping[tuple[str, str], Cell]) -> dict[str, float]:
     """By threshold the precision over all categories."""
     return {
-        threshold: cell.share for (category, threshold), cell in cells.items() if category == "all"
+        threshold: cell.share for (category, threshold), cell in cells.items() if category == ALL
     }
 
 

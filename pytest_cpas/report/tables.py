@@ -15,6 +15,7 @@ from pytest_cpas.documents import (
     PublishedMethodDocument,
     RunDocument,
 )
+from pytest_cpas.types.samples import ALL
 
 #: What the paper prints of a data set, by method.
 Paper: TypeAlias = Mapping[str, PublishedMethodDocument]
@@ -81,7 +82,7 @@ def precision_table(
     The best three of a column are marked among those that were judged on as many samples as any;
     a single method is not marked.
     """
-    return _lines(runs, published, [("all", threshold) for threshold in thresholds])
+    return _lines(runs, published, [(ALL, threshold) for threshold in thresholds])
 
 
 def category_tables(
@@ -105,7 +106,7 @@ def category_tables(
     }
     for threshold in thresholds:
         named = {category for label, category in known if label == threshold}
-        categories = [*sorted(named - {"all"}), "all"]
+        categories = [*sorted(named - {ALL}), ALL]
         lines = [
             line
             for line in _lines(runs, published, [(name, threshold) for name in categories])

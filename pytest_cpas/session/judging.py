@@ -26,6 +26,7 @@ from pytest_cpas.golden import (
 )
 from pytest_cpas.session.collected import CollectedRun
 from pytest_cpas.types import Verdict
+from pytest_cpas.types.samples import ALL
 
 __all__ = ["JudgedRun", "judge", "record_run"]
 
@@ -76,9 +77,9 @@ def record_run(collected: CollectedRun, folder: Path, *, failed_items: int) -> J
             raise GoldenError(f"{failed_items} items failed; a golden table needs none to")
         if run.under_contract and len(collected.contract) < len(CONTRACT):
             raise GoldenError("the contract of the method was not checked; leave out -k")
-        verdict = Verdict(Word.RECORDED, "all", str(record(folder, table)))
+        verdict = Verdict(Word.RECORDED, ALL, str(record(folder, table)))
     except GoldenError as error:
-        verdict = Verdict(Word.NOT_RECORDED, "all", str(error))
+        verdict = Verdict(Word.NOT_RECORDED, ALL, str(error))
     return _explained(collected, table, golden, [verdict])
 
 
@@ -87,7 +88,7 @@ def _golden(run: Run, folder: Path) -> tuple[RunTable | None, Verdict | None]:
     try:
         return find_golden(folder, run.method, run.dataset), None
     except GoldenError as error:
-        return None, Verdict(Word.DAMAGED, "all", str(error))
+        return None, Verdict(Word.DAMAGED, ALL, str(error))
 
 
 def _verdicts(run: Run, table: RunTable, golden: RunTable | None) -> list[Verdict]:
@@ -124,7 +125,7 @@ def _with_reasons(verdict: Verdict, explanations: Sequence[Explanation]) -> Verd
     lines = [
         f"\n  {line}"
         for explanation in explanations
-        if "all" in (explanation.category, verdict.category)
+        if ALL in (explanation.category, verdict.category)
         or explanation.category == verdict.category
         for line in explanation.lines()
     ]

@@ -35,6 +35,7 @@ from pytest_cpas.timing.records import (
 from pytest_cpas.timing.verdicts import SpeedWord
 from pytest_cpas.timing.workers import Adapter, Revision, Worker
 from pytest_cpas.types import MethodInfo, Observation, Verdict
+from pytest_cpas.types.samples import ALL
 
 #: A round has so many predictions that it takes at least as many seconds; the calibration kernel
 #: is repeated until it takes as long as a round, up to the second number.
@@ -114,7 +115,7 @@ class SpeedRun:
                 time_rounds(benchmark, rounds, looks, lambda _: True)
                 record = SpeedRecord.of(names, rounds.by_sample(), identity, provenance_of(on))
                 write_record(path, record)
-                verdict, slowdown = Verdict(SpeedWord.RECORDED, "all", str(path)), None
+                verdict, slowdown = Verdict(SpeedWord.RECORDED, ALL, str(path)), None
             else:
                 comparison: Comparison = (
                     WithRival(reference.name, plan.limit)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pytest_cpas.timing.intervals import Interval, decide
 from pytest_cpas.types import Verdict, VerdictWord
+from pytest_cpas.types.samples import ALL
 
 
 class SpeedWord(VerdictWord):
@@ -34,14 +35,14 @@ def judge(
     """
     if slowdown is None:
         word = SpeedWord.MEASURED if limit is None else SpeedWord.NOT_COMPARED
-        return Verdict(word, "all", reference, limit)
+        return Verdict(word, ALL, reference, limit)
     factor = (
         f"{slowdown.median:.3g} times {reference} ({slowdown.lower:.3g} to {slowdown.upper:.3g}"
         f" with {100 * slowdown.confidence:.3g} % confidence, {quadruples} quadruples)"
     )
     if limit is None:
         return Verdict(
-            SpeedWord.MEASURED, "all", f"{factor}; not judged without --cpas-benchmark-fail"
+            SpeedWord.MEASURED, ALL, f"{factor}; not judged without --cpas-benchmark-fail"
         )
     words = {
         "slower": (SpeedWord.SLOWER, f"{factor}; allowed are {limit:.4g} times"),
@@ -54,7 +55,7 @@ def judge(
         ),
     }
     word, details = words[decide(slowdown, limit)]
-    return Verdict(word, "all", details, limit)
+    return Verdict(word, ALL, details, limit)
 
 
 def parse_limit(text: str) -> float:

@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import Literal
 
 from pytest_cpas._deprecation import deprecated
+from pytest_cpas.types.samples import ALL
 
 __all__ = ["ItemOutcome", "Verdict", "VerdictWord"]
 
@@ -88,5 +89,5 @@ class Verdict:
         return self.word.outcome(require_golden)
 
     def __str__(self) -> str:
-        subject = "" if self.subject == "all" else f" {self.subject}"
+        subject = "" if self.subject == ALL else f" {self.subject}"
         return f"{self.word.value}{subject}: {self.details}"

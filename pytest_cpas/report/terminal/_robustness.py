@@ -11,6 +11,7 @@ from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, Robustness
 from pytest_cpas.documents import RunDocument
 from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.terminal._table import print_table
+from pytest_cpas.types.samples import ALL
 
 
 def print_robustness(
@@ -41,7 +42,7 @@ def print_robustness(
 
 def _cell(run: RunDocument) -> str:
     for cell in run["precision"]:
-        if (cell["category"], cell["threshold"]) == ("all", THRESHOLDS[0].label):
+        if (cell["category"], cell["threshold"]) == (ALL, THRESHOLDS[0].label):
             count = cell["measured"]
             return f"{count['correct']}/{count['total']}" if count else "-"
     return "-"

@@ -13,6 +13,7 @@ from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
 from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.report.terminal._table import FEW, print_table
 from pytest_cpas.types import Verdict
+from pytest_cpas.types.samples import ALL
 
 
 def print_survey(
@@ -67,9 +68,9 @@ def _category_lines(survey: Survey) -> list[list[str]]:
     groups = defaultdict(list)
     for facts in survey.samples.values():
         groups[facts.category].append(facts.image)
-        groups["all"].append(facts.image)
+        groups[ALL].append(facts.image)
     lines = [["category", "samples", "|depth| median", "95 %", "largest", "IoU median", "smallest"]]
-    for category in (*sorted(groups.keys() - {"all"}), "all"):
+    for category in (*sorted(groups.keys() - {ALL}), ALL):
         images = groups[category]
         residuals = [i.residual for i in images if i is not None and i.residual is not None]
         ious = [i.iou for i in images if i is not None and i.iou is not None]
