@@ -135,6 +135,7 @@ def test_part_of_the_samples(check):
         (("--cpas-check-dataset=real275", "--cpas-data=nowhere"), "nowhere"),
         (("--cpas-known-faults=nowhere.toml",), "nowhere.toml: known failures cannot be read"),
         (("--cpas-category=mug",), "held: no samples to check"),
+        (("--cpas-shard=3/2",), "expected i/n with 1 <= i <= n"),
     ],
 )
 def test_usage_errors(check, args, words):
