@@ -157,43 +157,117 @@ def compare_published(
     """One verdict per category; it states the margin of every cell that both have.
 
     Worse in one cell makes a category REGRESSED; better ones pass. A part of the samples can be
-    worse, but not agree: that is one more verdict, NOT CHECKED. Pure.
+    worse, but not agree: that is one more verdict, NOT CHECKED. It names the figures over all
+    categories that are left out because other categories were judged. Pure.
     """
-    judged = {
-        cell: count
+    compared = [
+        (expected, count)
         for cell in cells
         if (count := table.get(cell.category, {}).get(cell.label)) is not None
-    }
+        if (expected := _expected(cell, cells, table)) is not None
+    ]
     verdicts = []
-    for category in sorted({cell.category for cell in judged}):
+    for category in sorted({expected.category for expected, _ in compared}):
         lines: dict[Word, list[str]] = {Word.REGRESSED: [], Word.ABOVE: [], Word.AGREES: []}
-        for cell, count in judged.items():
-            if cell.category == category:
+        for expected, count in compared:
+            if expected.category == category:
                 # a two-sided interval, of which only the lower side can raise a false alarm
-                word, line = _judge(cell, count, 1 - 2 * FALSE_ALARMS / len(judged))
+                word, line = _judge(expected, count, 1 - 2 * FALSE_ALARMS / len(compared))
                 lines[word].append(line)
         word = next(word for word, told in lines.items() if told)
         verdicts.append(Verdict(word, category, "\n  ".join(chain.from_iterable(lines.values()))))
-    seen = max((count.total for count in judged.values()), default=0)
+    counts = [table.get(cell.category, {}).get(cell.label) for cell in cells]
+    seen = max((count.total for count in counts if count), default=0)
     total = max((cell.total for cell in cells), default=0)
     if 0 < seen < total:
         told = f"{seen} of the {total} samples of the published table judged"
+        done = {(expected.category, expected.label) for expected, _ in compared}
+        if left := [c.label for c in cells if c.category == ALL and (ALL, c.label) not in done]:
+            told += (
+                f"; not compared: all at {' and at '.join(left)}, which is published over"
+                f" {', '.join(_sizes(cells))}, and judged were {', '.join(_judged(table))}"
+            )
         verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
     return verdicts
 
 
-def _judge(cell: PublishedCell, count: Count, confidence: float) -> tuple[Word, str]:
+@dataclass(frozen=True)
+class _Expected:
+    """What the paper lets expect of a cell of a run: a share between two."""
+
+    category: str
+    label: str
+    lowest: float
+    highest: float
+    words: str
+
+
+def _expected(
+    cell: PublishedCell,
+    cells: Sequence[PublishedCell],
+    table: Mapping[str, Mapping[str, Count | None]],
+) -> _Expected | None:
+    """What a published cell lets expect; None if it is over other categories than were judged.
+
+    A figure over all categories depends on how many samples each has. Where the paper has the
+    figure of every category that was judged, they are added up as they were judged. Elsewhere the
+    share can be another one by as much as the mixture is, if the categories are the same.
+    """
     lowest, highest = cell.low / cell.total, cell.high / cell.total
+    published = f"published {100 * lowest:.1f} %"
+    sizes, judged = _sizes(cells), _judged(table, cell.label)
+    if cell.category != ALL or not sizes or judged == sizes:
+        return _Expected(cell.category, cell.label, lowest, highest, published)
+    total = sum(judged.values())
+    parts = {other.category: other for other in cells if other.label == cell.label}
+    if judged.keys() <= parts.keys():
+        lowest, highest = (
+            sum(n * getattr(parts[k], end) / parts[k].total for k, n in judged.items()) / total
+            for end in ("low", "high")
+        )
+        words = f"published {100 * lowest:.1f} % for as many of {', '.join(judged)}"
+        return _Expected(cell.category, cell.label, lowest, highest, words)
+    if judged.keys() != sizes.keys():
+        return None
+    shift = sum(abs(judged[k] / total - n / sum(sizes.values())) for k, n in sizes.items()) / 2
+    lowest, highest = max(lowest - shift, 0.0), min(highest + shift, 1.0)
+    words = (
+        f"{published}, {100 * lowest:.1f} to {100 * highest:.1f} % where the categories are mixed"
+        " as here"
+    )
+    return _Expected(cell.category, cell.label, lowest, highest, words)
+
+
+def _sizes(cells: Sequence[PublishedCell]) -> dict[str, int]:
+    """Samples per category of a published table."""
+    return dict(sorted((cell.category, cell.total) for cell in cells if cell.category != ALL))
+
+
+def _judged(
+    table: Mapping[str, Mapping[str, Count | None]], label: str | None = None
+) -> dict[str, int]:
+    """Samples per category of a run's table that are judged, at one threshold or at any."""
+    judged = {
+        category: max((c.total for k, c in row.items() if c and label in (None, k)), default=0)
+        for category, row in sorted(table.items())
+        if category != ALL
+    }
+    return {category: count for category, count in judged.items() if count}
+
+
+def _judge(expected: _Expected, count: Count, confidence: float) -> tuple[Word, str]:
     low, high = count.interval(confidence)
     # the smallest count that would not be called worse: what this many samples can detect
     needed = bisect.bisect_left(
-        range(count.total), lowest, key=lambda k: Count(k, count.total).interval(confidence)[1]
+        range(count.total),
+        expected.lowest,
+        key=lambda k: Count(k, count.total).interval(confidence)[1],
     )
     margin = f"worse below {needed}/{count.total}" if needed else "so few cannot show it worse"
     line = (
-        f"{cell.label}: {count.correct}/{count.total} correct (interval {100 * low:.1f} to"
-        f" {100 * high:.1f} %), published {100 * lowest:.1f} %; {margin}"
+        f"{expected.label}: {count.correct}/{count.total} correct (interval {100 * low:.1f} to"
+        f" {100 * high:.1f} %), {expected.words}; {margin}"
     )
-    if high < lowest:
+    if high < expected.lowest:
         return Word.REGRESSED, line
-    return (Word.ABOVE if low > highest else Word.AGREES), line
+    return (Word.ABOVE if low > expected.highest else Word.AGREES), line
