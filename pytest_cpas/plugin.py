@@ -6,6 +6,7 @@ given: people install this plugin beside unrelated projects.
 
 from __future__ import annotations
 
+import argparse
 import os
 from typing import TYPE_CHECKING
 
@@ -168,7 +169,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-require-golden",
         action="store_true",
-        help="fail when a golden table is missing or was compared with a part of its samples only",
+        help="fail when a golden table is missing or was compared with a part of its samples only;"
+        " with =strict also when a verdict is PROBABLY WORSE",
+    )
+    # a name of its own, not a value: a path that follows the plain option is none of it
+    group.addoption(
+        "--cpas-require-golden=strict",
+        dest="cpas_require_golden",
+        action="store_const",
+        const="strict",
+        help=argparse.SUPPRESS,
+    )
+    group.addoption(
+        "--cpas-alarm",
+        metavar="P",
+        help="probability that a run without a change is called REGRESSED or IMPROVED, against a"
+        " golden table of several seeds that disagree (default: ini cpas_alarm, else 1/1000)",
     )
     group.addoption(
         "--cpas-metrics",
@@ -248,6 +264,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="print what is registered, and which weights of the methods are there, and exit",
     )
     parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
+    parser.addini("cpas_alarm", "the same as --cpas-alarm")
 
 
 def pytest_cmdline_main(config: pytest.Config) -> int | None:
@@ -263,7 +280,7 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
 
 
 @pytest.fixture
-def cpas_golden(snapshot: SnapshotAssertion) -> GoldenAssertion:
+def cpas_golden(snapshot: SnapshotAssertion, pytestconfig: pytest.Config) -> GoldenAssertion:
     """The golden table that a :class:`pytest_cpas.golden.RunTable` is compared with by ``==``.
 
     Which one follows from the table's method and data set; ``--snapshot-update`` records it.
@@ -272,7 +289,7 @@ def cpas_golden(snapshot: SnapshotAssertion) -> GoldenAssertion:
 
     return GoldenAssertion(
         session=snapshot.session,
-        extension_class=GoldenExtension,
+        extension_class=GoldenExtension.of(pytestconfig),
         test_location=snapshot.test_location,
         update_snapshots=snapshot.update_snapshots,
         update_new_snapshots_only=snapshot.update_new_snapshots_only,

@@ -9,6 +9,7 @@ the counts are checked against them on reading. What a table says about a run is
 
 from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.files import find_golden, orphans, read_golden, record, shipped_golden
+from pytest_cpas.golden.jitter import recorded_words
 from pytest_cpas.golden.published import (
     PublishedCell,
     compare_published,
@@ -20,6 +21,7 @@ from pytest_cpas.golden.published import (
     published_name,
     published_time,
 )
+from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import (
     FORMAT,
     GoldenError,
@@ -31,6 +33,7 @@ from pytest_cpas.golden.tables import (
 from pytest_cpas.types import Verdict
 
 __all__ = [
+    "ALARM",
     "FORMAT",
     "GoldenError",
     "PublishedCell",
@@ -53,5 +56,6 @@ __all__ = [
     "published_time",
     "read_golden",
     "record",
+    "recorded_words",
     "shipped_golden",
 ]

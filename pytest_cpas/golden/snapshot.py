@@ -7,6 +7,7 @@ tables, the same words, the same ``--snapshot-update``.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +22,10 @@ from syrupy.types import SerializedData, SnapshotIndex
 
 from pytest_cpas.golden.comparison import compare
 from pytest_cpas.golden.files import find_golden, record
+from pytest_cpas.golden.jitter import parse_alarm
+from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import RunTable, parse_golden
-from pytest_cpas.types import Verdict
+from pytest_cpas.types import Required, Verdict
 
 
 def golden_folder(config: pytest.Config) -> Path:
@@ -40,13 +43,40 @@ def golden_folder(config: pytest.Config) -> Path:
     return (config.rootpath if is_project else here) / str(config.getini("cpas_golden") or "golden")
 
 
+def alarm_level(config: pytest.Config) -> float:
+    """The probability of a false alarm in a run, as asked for.
+
+    Raises :class:`pytest.UsageError` if it is none.
+    """
+    for name, given in (
+        ("--cpas-alarm", config.option.cpas_alarm),
+        ("cpas_alarm", config.getini("cpas_alarm")),
+    ):
+        if given:
+            try:
+                return parse_alarm(given)
+            except ValueError as error:
+                raise pytest.UsageError(f"{name} is {error}") from None
+    return ALARM
+
+
 class GoldenExtension(AbstractSyrupyExtension):
     """Keeps a :class:`RunTable` as golden table of its method and data set.
 
-    syrupy compares serialised data; here that is the text of the table's two files.
+    syrupy compares serialised data; here that is the text of the table's two files. ``alarm`` and
+    ``required`` as of :meth:`of`.
     """
 
     write_immediately = True
+    alarm = ALARM
+    required: Required = True
+
+    @classmethod
+    def of(cls, config: pytest.Config) -> type[GoldenExtension]:
+        """The extension with the options of a run: an assertion needs a golden table anyway."""
+        strict = config.option.cpas_require_golden == "strict"
+        settings = {"alarm": alarm_level(config), "required": "strict" if strict else True}
+        return type(cls.__name__, (cls,), settings)
 
     @classmethod
     def get_location(cls, *, test_location: PyTestLocation, index: SnapshotIndex) -> str:
@@ -93,18 +123,29 @@ class GoldenExtension(AbstractSyrupyExtension):
         return None if golden is None else self.serialize(golden)
 
     def matches(self, *, serialized_data: SerializedData, snapshot_data: SerializedData) -> bool:
-        """Whether every verdict is good."""
-        verdicts = _verdicts(serialized_data, snapshot_data)
-        return all(verdict.passed for verdict in verdicts)
+        """Whether no verdict fails; what is doubtful is warned of."""
+        verdicts = self._verdicts(serialized_data, snapshot_data)
+        if any(self._fails(verdict) for verdict in verdicts):
+            return False
+        for verdict in verdicts:
+            if not verdict.passed:
+                warnings.warn(pytest.PytestWarning(str(verdict)), stacklevel=2)
+        return True
 
     def diff_lines(
         self, serialized_data: SerializedData, snapshot_data: SerializedData
     ) -> Iterator[str]:
-        """The verdicts that are not good, in words."""
+        """The verdicts that fail, in words."""
         if snapshot_data:
-            for verdict in _verdicts(serialized_data, snapshot_data):
-                if not verdict.passed:
+            for verdict in self._verdicts(serialized_data, snapshot_data):
+                if self._fails(verdict):
                     yield from str(verdict).splitlines()
+
+    def _fails(self, verdict: Verdict) -> bool:
+        return verdict.outcome(self.required) == "failed"
+
+    def _verdicts(self, new: SerializedData, golden: SerializedData) -> list[Verdict]:
+        return compare(_parse(str(golden)), _parse(str(new)), alarm=self.alarm)
 
     @classmethod
     def write_snapshot_collection(
@@ -130,10 +171,6 @@ def _parse(text: str) -> RunTable:
         content["method"], content["dataset"], content["table"], content["samples"]
     )
     return replace(table, listed=content["listed"])
-
-
-def _verdicts(new: SerializedData, golden: SerializedData) -> list[Verdict]:
-    return compare(_parse(str(golden)), _parse(str(new)))
 
 
 class GoldenAssertion(SnapshotAssertion):

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
+from scipy.special import bdtr
 
 from pytest_cpas.documents import (
     AgainstDocument,
@@ -17,7 +18,6 @@ from pytest_cpas.documents import (
 )
 from pytest_cpas.evaluation import DEFINITIONS, THRESHOLDS
 from pytest_cpas.golden import TableSample, differences
-from pytest_cpas.golden.spread import fewer, more
 from pytest_cpas.report.document import flip_document
 from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.stored import StoredReportError
@@ -160,6 +160,7 @@ def _precision(
 
 def _p_value(old: np.ndarray, new: np.ndarray) -> float | None:
     """McNemar's exact test, two-sided; None without a flip."""
-    if (old == new).all():
+    lost, gained = int((old & ~new).sum()), int((new & ~old).sum())
+    if not lost + gained:
         return None
-    return min(1.0, 2 * min(fewer(old[:, None], new), more(old[:, None], new)))
+    return min(1.0, 2 * float(bdtr(min(lost, gained), lost + gained, 0.5)))

@@ -44,7 +44,7 @@ from pytest_cpas.golden.published import (
 )
 from pytest_cpas.metrics.precision import Count, curve
 from pytest_cpas.report.published import points, published_count, published_document
-from pytest_cpas.types import Verdict
+from pytest_cpas.types import Required, Verdict
 from pytest_cpas.types.samples import ALL
 
 FORMAT: Final = 1
@@ -84,7 +84,7 @@ def run_document(
     *,
     errors: Mapping[str, str] = MappingProxyType({}),
     verdicts: Sequence[Verdict] = (),
-    require_golden: bool = False,
+    require_golden: Required = False,
     contract: Iterable[ContractResult] = (),
     findings: Sequence[Explanation] = (),
     golden: RunTable | None = None,

@@ -15,6 +15,7 @@ from pytest_cpas.diagnosis import Explanation
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
 from pytest_cpas.evaluation import Run
 from pytest_cpas.golden import (
+    ALARM,
     GoldenError,
     RunTable,
     Word,
@@ -22,7 +23,9 @@ from pytest_cpas.golden import (
     compare_published,
     find_golden,
     published_cells,
+    read_golden,
     record,
+    recorded_words,
 )
 from pytest_cpas.session.collected import CollectedRun
 from pytest_cpas.types import Verdict
@@ -56,18 +59,24 @@ class JudgedRun:
         return self.collected.run
 
 
-def judge(collected: CollectedRun, folder: Path) -> JudgedRun:
-    """Compare a run with its golden table below ``folder``; if there is none, with the paper."""
+def judge(collected: CollectedRun, folder: Path, *, alarm: float = ALARM) -> JudgedRun:
+    """Compare a run with its golden table below ``folder``; if there is none, with the paper.
+
+    ``alarm``: see :func:`pytest_cpas.golden.compare`.
+    """
     table = RunTable.of(collected.run, collected.ordered_rows)
     golden, damage = _golden(collected.run, folder)
-    verdicts = [damage] if damage else _verdicts(collected.run, table, golden)
+    verdicts = [damage] if damage else _verdicts(collected.run, table, golden, alarm)
     return _explained(collected, table, golden, verdicts)
 
 
-def record_run(collected: CollectedRun, folder: Path, *, failed_items: int) -> JudgedRun:
+def record_run(
+    collected: CollectedRun, folder: Path, *, failed_items: int, alarm: float = ALARM
+) -> JudgedRun:
     """Record the table of a run as its golden one below ``folder``, or say why not.
 
-    ``failed_items`` counts the items of the session that have failed.
+    ``failed_items`` counts the items of the session that have failed. The verdict says which losses
+    the table can show with ``alarm``.
     """
     table = RunTable.of(collected.run, collected.ordered_rows)
     golden, _ = _golden(collected.run, folder)
@@ -77,7 +86,9 @@ def record_run(collected: CollectedRun, folder: Path, *, failed_items: int) -> J
             raise GoldenError(f"{failed_items} items failed; a golden table needs none to")
         if run.under_contract and len(collected.contract) < len(CONTRACT):
             raise GoldenError("the contract of the method was not checked; leave out -k")
-        verdict = Verdict(Word.RECORDED, ALL, str(record(folder, table)))
+        written = record(folder, table)
+        lines = [str(written), *recorded_words(read_golden(written), alarm)]
+        verdict = Verdict(Word.RECORDED, ALL, "\n  ".join(lines))
     except GoldenError as error:
         verdict = Verdict(Word.NOT_RECORDED, ALL, str(error))
     return _explained(collected, table, golden, [verdict])
@@ -91,13 +102,13 @@ def _golden(run: Run, folder: Path) -> tuple[RunTable | None, Verdict | None]:
         return None, Verdict(Word.DAMAGED, ALL, str(error))
 
 
-def _verdicts(run: Run, table: RunTable, golden: RunTable | None) -> list[Verdict]:
+def _verdicts(run: Run, table: RunTable, golden: RunTable | None, alarm: float) -> list[Verdict]:
     """Against the golden table; where there is none, against the published counts."""
     if golden is None and table.samples:
         verdicts = compare_published(published_cells(run.dataset, run.method), table.table)
         if verdicts:
             return verdicts
-    return compare(golden, table)
+    return compare(golden, table, alarm=alarm)
 
 
 def _explained(

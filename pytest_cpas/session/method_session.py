@@ -20,7 +20,7 @@ from pytest_cpas import registry
 from pytest_cpas.documents import RunDocument
 from pytest_cpas.evaluation import MethodRun, ResultsError, Run
 from pytest_cpas.golden import orphans
-from pytest_cpas.golden.snapshot import golden_folder
+from pytest_cpas.golden.snapshot import alarm_level, golden_folder
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.report.terminal import shows_samples
@@ -58,7 +58,10 @@ class CpasSession(SuiteSession):
             OSError,
         ):
             self.options = options = RunOptions.of(
-                config.option, config.invocation_params.dir, golden=golden_folder(config)
+                config.option,
+                config.invocation_params.dir,
+                golden=golden_folder(config),
+                alarm=alarm_level(config),
             )
             runs = resolve_runs(options)
             files = open_results(options.results, options.shard, runs)
@@ -161,8 +164,13 @@ class CpasSession(SuiteSession):
     def _judge(self, collected: CollectedRun) -> JudgedRun:
         only_timed = self.options.benchmark and not collected.rows
         if self.options.update and not only_timed:
-            return record_run(collected, self.options.golden, failed_items=self._failed_items)
-        return judge(collected, self.options.golden)
+            return record_run(
+                collected,
+                self.options.golden,
+                failed_items=self._failed_items,
+                alarm=self.options.alarm,
+            )
+        return judge(collected, self.options.golden, alarm=self.options.alarm)
 
     def _report_verdict(self, session: pytest.Session, run: Run, verdict: Verdict) -> None:
         """Report a verdict as if it were an item."""

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Literal
 
 from pytest_cpas.evaluation import Selection, Shard
+from pytest_cpas.golden import ALARM
+from pytest_cpas.types import Required
 
 __all__ = ["DatasetOptions", "Granularity", "MetricsOptions", "RunOptions"]
 
@@ -25,8 +27,9 @@ class RunOptions:
     """What a run of methods, stored predictions or merged results is asked for.
 
     Paths are as they are opened. ``golden`` is the folder of golden tables; ``seeds`` counts the
-    seeds that each sample is judged under, from ``seed`` on; ``others`` are the files of the runs
-    to compare with.
+    seeds that each sample is judged under, from ``seed`` on; ``alarm`` is the probability of a
+    false alarm against a golden table of several seeds; ``others`` are the files of the runs to
+    compare with.
     """
 
     methods: Sequence[str] = ()
@@ -45,13 +48,16 @@ class RunOptions:
     granularity: Granularity = "sample"
     golden: Path
     update: bool = False
-    require_golden: bool = False
+    require_golden: Required = False
+    alarm: float = ALARM
     results: Path | None = None
     report: Path | None = None
     others: Sequence[Path] = ()
 
     @classmethod
-    def of(cls, options: Namespace, here: Path, *, golden: Path) -> RunOptions:
+    def of(
+        cls, options: Namespace, here: Path, *, golden: Path, alarm: float = ALARM
+    ) -> RunOptions:
         """From the options of :mod:`pytest_cpas.plugin` (and syrupy's ``--snapshot-update``).
 
         Relative paths are looked for in ``here``. Raises :class:`ValueError` that names an option
@@ -78,6 +84,7 @@ class RunOptions:
             golden=golden,
             update=_update(options),
             require_golden=options.cpas_require_golden,
+            alarm=alarm,
             results=_path(here, options.cpas_results),
             report=_path(here, options.cpas_report),
             others=_paths(here, options.cpas_against),

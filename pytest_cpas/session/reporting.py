@@ -17,6 +17,7 @@ from pytest_cpas.report.terminal import print_robustness, print_run
 from pytest_cpas.report.up_axes import up_axes
 from pytest_cpas.session.collected import CollectedRun
 from pytest_cpas.session.judging import JudgedRun
+from pytest_cpas.types import Required
 
 __all__ = ["Reporter"]
 
@@ -29,7 +30,7 @@ class Reporter:
     compare with; ``lists``: whether each of so many samples is named on the terminal.
     """
 
-    require_golden: bool
+    require_golden: Required
     folder: Path | None
     others: Sequence[RunDocument]
     lists: Callable[[int], bool]

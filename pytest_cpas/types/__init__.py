@@ -31,7 +31,7 @@ from pytest_cpas.types.samples import (
     Sample,
     SampleRef,
 )
-from pytest_cpas.types.verdicts import ItemOutcome, Verdict, VerdictWord
+from pytest_cpas.types.verdicts import ItemOutcome, Required, Verdict, VerdictWord
 
 __all__ = [
     "CATEGORIES",
@@ -53,6 +53,7 @@ __all__ = [
     "Observation",
     "Pose",
     "Prediction",
+    "Required",
     "Sample",
     "SampleRef",
     "Symmetry",

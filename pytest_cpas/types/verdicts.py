@@ -12,35 +12,43 @@ from typing import Literal
 from pytest_cpas._deprecation import deprecated
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["ItemOutcome", "Verdict", "VerdictWord"]
+__all__ = ["ItemOutcome", "Required", "Verdict", "VerdictWord"]
 
 #: What a test item ends with, a verdict, a run or a session. skipped: a verdict could not be given,
 #: and was not required.
 ItemOutcome = Literal["failed", "skipped", "passed"]
+
+#: ``--cpas-require-golden``: not given, given, or with ``=strict``.
+Required = Literal[False, True, "strict"]
 
 
 class VerdictWord(StrEnum):
     """A kind of verdict: its members are ``NAME = text, outcome``.
 
     ``outcome`` is what the verdict ends with as a test item; a second one, if given, what it ends
-    with under ``--cpas-require-golden``.
+    with under ``--cpas-require-golden``, and a third under ``--cpas-require-golden=strict``.
     """
 
-    _outcome: ItemOutcome
-    _required: ItemOutcome
+    _outcomes: dict[Required, ItemOutcome]
 
     def __new__(
-        cls, text: str, outcome: ItemOutcome, required: ItemOutcome | None = None
+        cls,
+        text: str,
+        outcome: ItemOutcome,
+        required: ItemOutcome | None = None,
+        strict: ItemOutcome | None = None,
     ) -> VerdictWord:
         """A member."""
         word = str.__new__(cls, text)
         word._value_ = text
-        word._outcome, word._required = outcome, required or outcome
+        required = required or outcome
+        word._outcomes = {False: outcome, True: required, "strict": strict or required}
         return word
 
-    def outcome(self, require_golden: bool) -> ItemOutcome:
-        """As what a test item would end; ``require_golden``: what could not be judged fails."""
-        return self._required if require_golden else self._outcome
+    def outcome(self, require_golden: Required) -> ItemOutcome:
+        """As what a test item would end; ``require_golden``: what could not be judged fails,
+        with ``"strict"`` what is doubtful as well."""
+        return self._outcomes[require_golden]
 
 
 @dataclass(frozen=True)
@@ -84,8 +92,8 @@ class Verdict:
         """Whether it fails the run. (NOT CHECKED fails it under --cpas-require-golden only.)"""
         return self.word.outcome(require_golden=False) == "failed"
 
-    def outcome(self, require_golden: bool) -> ItemOutcome:
-        """As what a test item would end; ``require_golden``: what could not be judged fails."""
+    def outcome(self, require_golden: Required) -> ItemOutcome:
+        """As what a test item would end; see :meth:`VerdictWord.outcome`."""
         return self.word.outcome(require_golden)
 
     def __str__(self) -> str:

@@ -151,6 +151,26 @@ def test_shape_that_becomes_na_is_a_change():
     assert set(words(compare(GOLDEN, RunTable.of(a_run(), without))).values()) == {Word.CHANGED}
 
 
+def test_flips_count_what_the_cells_count():
+    """What is n/a is not among the samples of which some are correct."""
+    shapeless = {"s/01", "s/03"}
+
+    def of(more, **rotation):
+        lacking = shapeless | more
+        return RunTable.of(
+            a_run(),
+            [replace(r, fscore_1cm=None) if r.sample in lacking else r for r in rows(**rotation)],
+        )
+
+    old, new = of(set()), of(set(), s_05=7)
+    (_, mug) = compare(old, new)
+    assert "5 deg, 1 cm: 5 -> 4 of 5 correct" in mug.details
+    assert "5 deg, 1 cm, F 0.8: 3 -> 2 of 3 correct" in mug.details
+    assert new.table["mug"]["5 deg, 1 cm, F 0.8"] == Count(2, 3)
+    (_, mug) = compare(old, of({"s/05"}))
+    assert "5 deg, 1 cm, F 0.8: 3 of 3 -> 2 of 2 correct" in mug.details
+
+
 def test_other_conditions_are_stale():
     (verdict,) = compare(GOLDEN, table("y"))
     assert (verdict.word, verdict.failed) == (Word.STALE, True)

@@ -102,27 +102,100 @@ def test_only_tables_are_compared(own, recorded, pytester):
 
 
 def test_recorded_spread_is_allowed(cpas, pytester):
-    assert cpas("Wobbles", "--snapshot-update", "--cpas-jitter=4").ret == 0
+    result = cpas("Wobbles", "--snapshot-update", "--cpas-jitter=4")
+    assert result.ret == 0
+    # what it can show, and what more seeds would
+    result.stdout.fnmatch_lines(
+        [
+            "golden: RECORDED: *tiny",
+            "  how many a later run of one seed must lose to be REGRESSED (PROBABLY WORSE), *",
+            "    these 4 seeds: bowl none (4) of 5, mug none (5) of 6, all 9 (6) of 11",
+            "    8 seeds that spread like these: *, all 6 (3) of 11",
+        ]
+    )
     folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
     lines = (folder / "samples.csv").read_text().splitlines()
     outcomes = {line.split(",")[0]: line.split(",")[2:4] for line in lines[1:]}
     assert outcomes["scene_0/0000"] == ["1111", ""]
     assert any("0000" in repeats and "1111" in repeats for _, repeats in outcomes.values())
     assert "seeds = 4" in (folder / "table.toml").read_text()
-    result = cpas("Wobbles")
-    assert result.ret == 0
-    # six samples are too few to tell, and it says so
-    result.stdout.fnmatch_lines(
-        [
-            "golden: NOT CHECKED (bowl, mug)",
-            "golden: MATCHES: all 12 samples are within the spread of the 4 recorded seeds; a"
-            " loss of * at 10 deg, 2 cm, * would be called",
-        ]
-    )
+    # the same command is green on the same code, however much is required
+    for required in ((), ("--cpas-require-golden",), ("--cpas-require-golden=strict",)):
+        result = cpas("Wobbles", *required)
+        assert result.ret == 0
+        result.stdout.fnmatch_lines(["golden: MATCHES (bowl, mug, all)"])
     # a run that would forget the spread does not replace it
     result = cpas("Wobbles", "--snapshot-update")
     assert result.ret == 1
     result.stdout.fnmatch_lines(["golden: NOT RECORDED: *pass --cpas-jitter 4*"])
+
+
+UNLUCKY = """
+from tiny import Wobbles
+from pytest_cpas.types import Prediction
+
+class Unlucky(Wobbles):
+    def by_chance(self, index, seed):
+        return Prediction.failed("worse") if index < 6 else super().by_chance(index, seed)
+"""
+
+#: How a doubtful run is asked for, and what it ends with.
+STRICTNESS = {
+    (): 0,
+    ("--cpas-require-golden",): 0,
+    ("--cpas-require-golden=strict",): 1,
+    ("--cpas-alarm=0.05",): 1,
+    ("--cpas-alarm=1/20",): 1,
+    ("-o", "cpas_alarm=1/20"): 1,
+    ("-o", "cpas_alarm=1/20", "--cpas-alarm=1/1000"): 0,
+}
+
+
+@pytest.mark.parametrize("how", STRICTNESS, ids=" ".join)
+def test_probably_worse_is_told_with_its_p(cpas, pytester, how):
+    assert cpas("Wobbles", "--snapshot-update", "--cpas-jitter=4").ret == 0
+    pytester.makepyfile(unlucky=UNLUCKY)
+    names = ("--cpas-method=unlucky:Unlucky", "--cpas-dataset=tiny:Tiny")
+    result = pytester.runpytest_inprocess(*RUN, *names, *how)
+    assert result.ret == STRICTNESS[how]
+    word = "REGRESSED" if how and how[-1].endswith(("0.05", "1/20")) else "PROBABLY WORSE"
+    result.stdout.fnmatch_lines(
+        [f"golden: {word}: 10 deg, 2 cm: * of 12 correct (4 recorded seeds: * to *; p = 0.0*)"]
+    )
+    assert "golden: MATCHES: " not in result.stdout.str()
+    assert "within the spread" not in result.stdout.str()
+
+
+def test_assertion_warns_of_what_is_probably_worse(own, cpas, pytester):
+    """As in a run: it passes, and strictness makes it fail."""
+    assert cpas("Wobbles", "--snapshot-update", "--cpas-jitter=4").ret == 0
+    pytester.makepyfile(unlucky=UNLUCKY)
+    source = TEST.format(method="Wobbles", selection="None").replace("Wobbles()", "Unlucky()")
+    pytester.makepyfile(test_own=f"from unlucky import Unlucky\n{source}")
+    # warnings are errors in the run of this test
+    result = pytester.runpytest_inprocess(*RUN, "test_own.py", "-W", "default")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["*PytestWarning: PROBABLY WORSE*"])
+    pytester.makeini("[pytest]\naddopts = --cpas-require-golden=strict")
+    result = pytester.runpytest_inprocess(*RUN, "test_own.py", "-W", "default")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*PROBABLY WORSE: 10 deg, 2 cm: *"])
+
+
+def test_path_after_the_plain_option_is_none_of_it(recorded, pytester):
+    pytester.makepyfile(test_own="def test_mine():\n    pass")
+    result = recorded("Perfect", "--cpas-require-golden", "test_own.py", "-k", "test_mine")
+    result.stdout.fnmatch_lines(["*test_own.py *"])
+    result = recorded("Perfect", "--cpas-require-golden=often")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+
+
+@pytest.mark.parametrize("how", [("--cpas-alarm=often",), ("-o", "cpas_alarm=2")], ids=" ".join)
+def test_alarm_that_is_no_probability(recorded, how):
+    result = recorded("Perfect", *how)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    name = how[-1].partition("=")[0]
+    result.stderr.fnmatch_lines([f"*{name} is '*', expected how probable*such as 0.001 or 1/1000"])
 
 
 def test_seeds_survive_shards_and_results(cpas, pytester):

@@ -25,7 +25,10 @@ def test_requiring_a_golden_table_changes_what_could_not_be_judged_alone(word):
         assert (verdict.outcome(False), verdict.outcome(True)) == ("skipped", "failed")
         assert not verdict.passed
         assert not verdict.failed
+        assert verdict.outcome("strict") == "failed"
     else:
+        strict = "failed" if word is Word.PROBABLY_WORSE else verdict.outcome(False)
+        assert verdict.outcome("strict") == strict
         assert verdict.outcome(True) == verdict.outcome(False)
         assert verdict.passed == (verdict.outcome(False) == "passed")
         assert verdict.failed == (verdict.outcome(False) == "failed")

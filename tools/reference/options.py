@@ -38,7 +38,7 @@ def recorded() -> _Recorder:
 
 def parser_options() -> list[argparse.Action]:
     """Every option of the plugin."""
-    return _actions(recorded().group)
+    return [a for a in _actions(recorded().group) if a.help != argparse.SUPPRESS]
 
 
 def subcommands() -> dict[str, argparse.ArgumentParser]:

@@ -34,12 +34,12 @@ def _verdicts(head: str, words: type[VerdictWord]) -> str:
     """What each means, and what it alone makes a run end with."""
     told = doc_comments(words)
     return table(
-        [head, "meaning", "exit code", "with `--cpas-require-golden`"],
+        [head, "meaning", "exit code", "with `--cpas-require-golden`", "with `=strict`"],
         (
             (
                 word.value,
                 told[word.name],
-                *(str(int(_EXIT[word.outcome(required)])) for required in (False, True)),
+                *(str(int(_EXIT[word.outcome(required)])) for required in (False, True, "strict")),
             )
             for word in words
         ),

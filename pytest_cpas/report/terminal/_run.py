@@ -16,6 +16,7 @@ from pytest_cpas.documents import (
     VerdictDocument,
 )
 from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.golden import Word
 from pytest_cpas.report.messages import (
     contract_message,
     judged_message,
@@ -23,6 +24,9 @@ from pytest_cpas.report.messages import (
     verdict_message,
 )
 from pytest_cpas.report.terminal._table import FEW, print_table
+
+#: Verdicts that are told in full, although they need not fail.
+_TOLD = (Word.RECORDED, Word.PROBABLY_WORSE)
 
 
 def shows_samples(config: pytest.Config, judged: int) -> bool:
@@ -48,11 +52,14 @@ def print_run(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
     for word, group in by_word.items():
         outcome = group[0]["outcome"]
         colour = {"red": outcome == "failed", "green": outcome == "passed"}
-        if len(group) == 1 or outcome == "failed":
+        if len(group) == 1 or outcome == "failed" or word in _TOLD:
             for verdict in group:
-                # the rest of it stands among the failures
-                first = verdict_message(verdict).splitlines()[0]
+                # the rest of what failed stands among the failures
+                first, *rest = verdict_message(verdict).splitlines()
                 terminal.write_line(f"golden: {first}", **colour)
+                if word in _TOLD and outcome != "failed":
+                    for line in rest:
+                        terminal.write_line(line)
         else:
             names = ", ".join(verdict["category"] for verdict in group)
             terminal.write_line(f"golden: {word} ({names})", **colour)

@@ -1,0 +1,120 @@
+"""Golden tables of several seeds: what they say of a run, and what loss they can show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.golden.spread import DOUBT, Answers, Spread
+from pytest_cpas.golden.tables import RunTable, TableSample
+
+#: How many times the recorded seeds is told what they could show, and up to how many.
+_MORE, _MOST = (2, 4, 8), 40
+
+
+def parse_alarm(text: str) -> float:
+    """A probability as ``--cpas-alarm`` takes it: ``0.001`` or ``1/1000``.
+
+    Raises :class:`ValueError` unless it is above 0 and at most :data:`DOUBT`.
+    """
+    above, slash, below = text.partition("/")
+    try:
+        alarm = float(above) / (float(below) if slash else 1)
+    except (ValueError, ZeroDivisionError):
+        alarm = 0.0
+    if not 1e-9 <= alarm <= DOUBT:
+        raise ValueError(
+            f"{text!r}, expected how probable it may be that a run without a change is called"
+            f" REGRESSED or IMPROVED: from 1e-9 to {DOUBT:g}, such as 0.001 or 1/1000"
+        )
+    return alarm
+
+
+def answers_of(golden: RunTable, run: RunTable) -> Answers:
+    """The samples that both tables have, under all seeds of both."""
+    both = [
+        name
+        for name, sample in sorted(run.samples.items())
+        if name in golden.samples and golden.samples[name].category == sample.category
+    ]
+    recorded, new = (_outcomes(table, both) for table in (golden, run))
+    return Answers(
+        categories=np.array([golden.samples[name].category for name in both], dtype=str),
+        recorded=recorded == b"1",
+        run=new == b"1",
+        known=(recorded != b"-").all(axis=1) & (new != b"-").all(axis=1),
+    )
+
+
+def _outcomes(table: RunTable, names: list[str]) -> NDArray[np.bytes_]:
+    """One character per sample, seed and threshold."""
+
+    def told(sample: TableSample) -> str:
+        further = sample.repeats or (sample.outcome,) * (table.seeds - 1)
+        return sample.outcome + "".join(further)
+
+    text = "".join(told(table.samples[name]) for name in names)
+    return np.frombuffer(text.encode(), "S1").reshape(len(names), table.seeds, len(THRESHOLDS))
+
+
+def loss_words(lucky: Spread, scope: str, alarm: float) -> str:
+    """Which loss of samples of a category, or of all, would be called; "" if none would.
+
+    ``lucky``: as of :func:`luckiest`.
+    """
+    levels = {"REGRESSED": alarm, "PROBABLY WORSE": max(DOUBT, alarm)}
+    shown = {word: lucky.loss_shown(scope, level) for word, level in levels.items()}
+    called = [(word, *loss) for word, loss in shown.items() if loss]
+    if not called:
+        return ""
+    (word, loss, column), *rest = called
+    first = f"a loss of {loss} at {THRESHOLDS[column].label} would be {word}"
+    return ", of ".join([first, *(f"{loss} {word}" for word, loss, _ in rest)])
+
+
+def luckiest(answers: Answers) -> Spread:
+    """As if the run had been the recorded seed that got most right, which must lose most."""
+    best = np.argsort(-(answers.recorded & answers.known[:, None]).sum(axis=(0, 2)), kind="stable")
+    drawn = answers.run.shape[1]
+    return Spread(replace(answers, run=answers.recorded[:, np.resize(best, drawn)]))
+
+
+def recorded_words(table: RunTable, alarm: float) -> Iterator[str]:
+    """Lines on what a recorded table can show, and how many seeds would show more."""
+    if table.seeds == 1:
+        return
+    if not any(sample.repeats for sample in table.samples.values()):
+        yield f"the {table.seeds} seeds agree in every sample: later runs may lose none"
+        return
+    first = replace(
+        table,
+        samples={name: replace(sample, repeats=()) for name, sample in table.samples.items()},
+        seeds=1,
+    )
+    answers = answers_of(table, first)
+    yield (
+        "how many a later run of one seed must lose to be REGRESSED (PROBABLY WORSE), of as many as"
+        " the best of these seeds gets right:"
+    )
+    for times in (1, *_MORE):
+        seeds = times * table.seeds
+        if times > 1 and seeds > _MOST:
+            break
+        more = replace(answers, recorded=np.tile(answers.recorded, (1, times, 1)))
+        spread = luckiest(more)
+        losses = [_loss_words(spread, scope, alarm) for scope in more.scopes]
+        what = f"these {seeds} seeds" if times == 1 else f"{seeds} seeds that spread like these"
+        yield f"  {what}: {', '.join(losses)}"
+
+
+def _loss_words(spread: Spread, scope: str, alarm: float) -> str:
+    surely, probably = (spread.loss_shown(scope, level) for level in (alarm, max(DOUBT, alarm)))
+    answers = spread.answers
+    right = int((answers.run & answers.known[:, None])[answers.among(scope)].sum(axis=(0, 1)).max())
+    if not probably:
+        return f"{scope} none of {right}"
+    return f"{scope} {surely[0] if surely else 'none'} ({probably[0]}) of {right}"

@@ -1,0 +1,181 @@
+"""The samples of a golden table and of a run side by side: what changed, in words."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.golden.tables import RunTable, TableSample
+from pytest_cpas.types.samples import ALL
+
+__all__ = ["Flips", "Pairing"]
+
+#: Samples that a message names before it only counts the rest.
+_NAMED = 8
+
+#: The errors of a sample, in the order of ``samples.csv``: name, factor and unit for people.
+_MOVING = (
+    ("the position error", 100, " cm"),
+    ("the rotation error", 1, " deg"),
+    ("the IoU", 1, ""),
+    ("the F-score", 1, ""),
+)
+
+#: Errors that differ by less, relatively or absolutely, are those of another machine's arithmetic.
+_SAME_RELATIVE, _SAME_ABSOLUTE = 1e-3, 1e-4
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """The samples of a category, or of all of them, in both tables.
+
+    ``old`` and ``new`` hold all samples; ``both`` names those of the category that both tables
+    have, ``extra`` those that only the new one has.
+    """
+
+    category: str
+    old: Mapping[str, TableSample]
+    new: Mapping[str, TableSample]
+    both: Sequence[str]
+    extra: Sequence[str]
+    recorded: int
+    listed: int
+
+    @classmethod
+    def of(cls, golden: RunTable, new: RunTable, category: str | None) -> Pairing:
+        """Of one category; of all if it is None."""
+
+        def is_meant(sample: TableSample | None) -> bool:
+            return sample is not None and category in (None, sample.category)
+
+        old = golden.samples
+        judged = sorted(name for name, sample in new.samples.items() if is_meant(sample))
+        return cls(
+            category or ALL,
+            old,
+            new.samples,
+            both=[name for name in judged if is_meant(old.get(name))],
+            extra=[name for name in judged if not is_meant(old.get(name))],
+            recorded=sum(map(is_meant, old.values())),
+            listed=sum(n for k, n in new.listed.items() if category in (None, k)),
+        )
+
+    def flips(self, index: int) -> Flips:
+        """What changed at a threshold."""
+        names: dict[str, list[str]] = {"10": [], "01": [], "-": []}
+        seen: Counter[str] = Counter()
+        for name in self.both:
+            pair = self.old[name].outcome[index] + self.new[name].outcome[index]
+            seen[pair] += 1
+            if pair[0] != pair[1]:
+                names["-" if "-" in pair else pair].append(name)
+        before, after = (
+            _Share(
+                sum(n for pair, n in seen.items() if pair[which] == "1"),
+                sum(n for pair, n in seen.items() if pair[which] != "-"),
+            )
+            for which in (0, 1)
+        )
+        return Flips(
+            before=before,
+            after=after,
+            lost=names["10"],
+            gained=names["01"],
+            not_applicable=names["-"],
+        )
+
+    def told(self, index: int, flips: Flips, remark: str = "") -> list[str]:
+        """The flips at a threshold in words, the samples named."""
+        lines = [f"{THRESHOLDS[index].label}: {flips.counts} correct{remark}"]
+        for what, names in (
+            ("lost", flips.lost),
+            ("gained", flips.gained),
+            ("n/a changed", flips.not_applicable),
+        ):
+            if names:
+                lines.append(f"    {what}: {self._named(names)}")
+        return lines
+
+    def _named(self, names: Sequence[str]) -> str:
+        told = [
+            f"{name} ({self.old[name].describe()} -> {self.new[name].describe()})"
+            for name in names[:_NAMED]
+        ]
+        rest = len(names) - len(told)
+        return "; ".join(told) + (f"; and {rest} more" if rest else "")
+
+    @property
+    def other_samples(self) -> list[str]:
+        """How the samples themselves differ: a run that shrank, or that grew."""
+        lines = []
+        if self.listed < self.recorded:
+            lines.append(
+                f"the data set and the method have {self.listed} samples in common, the golden"
+                f" table has {self.recorded}"
+            )
+        if self.extra:
+            first = self.extra[0]
+            lines.append(f"{len(self.extra)} samples are not in the golden table, first {first}")
+        return lines
+
+    @property
+    def total(self) -> int:
+        """The samples that there are, or were."""
+        return max(self.recorded, self.listed)
+
+    @property
+    def drift(self) -> list[str]:
+        """Errors that moved without crossing a threshold, the one that moved most named."""
+        lines = []
+        for column, (what, factor, unit) in enumerate(_MOVING):
+            count, most = 0, (0.0, "", 0.0, 0.0)
+            for name in self.both:
+                old, new = self.old[name].errors[column], self.new[name].errors[column]
+                if old is None or new is None:
+                    continue
+                if not math.isclose(old, new, rel_tol=_SAME_RELATIVE, abs_tol=_SAME_ABSOLUTE):
+                    count, most = count + 1, max(most, (abs(new - old), name, old, new))
+            if count:
+                _, name, before, after = most
+                lines.append(
+                    f"note: {what} moved in {count} samples, most in {name}:"
+                    f" {factor * before:.3g} -> {factor * after:.3g}{unit}"
+                )
+        return lines
+
+
+class _Share(NamedTuple):
+    """``correct`` of the ``judged`` samples; n/a is not judged."""
+
+    correct: int
+    judged: int
+
+
+@dataclass(frozen=True)
+class Flips:
+    """Counts of correct samples in both tables, and the samples that differ."""
+
+    before: _Share
+    after: _Share
+    lost: Sequence[str]
+    gained: Sequence[str]
+    not_applicable: Sequence[str]
+
+    def __bool__(self) -> bool:
+        return bool(self.lost or self.gained or self.not_applicable)
+
+    @property
+    def counts(self) -> str:
+        """Correct before and after, of those that the tables' cells count."""
+        before, after = self.before, self.after
+        of = "" if before.judged == after.judged else f" of {before.judged}"
+        return f"{before.correct}{of} -> {after.correct} of {after.judged}"
+
+    @property
+    def net(self) -> int:
+        """How many more were gained than lost."""
+        return len(self.gained) - len(self.lost)
