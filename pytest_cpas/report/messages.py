@@ -25,7 +25,7 @@ from pytest_cpas.types.samples import ALL
 
 _OUTCOMES: Mapping[ItemOutcome, str] = {
     "failed": "FAILED",
-    "skipped": "NOT CHECKED",
+    "skipped": "NOT DECIDED",
     "passed": "PASSED",
 }
 
