@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_cpas.session import guard
+
 
 def command_line() -> argparse.ArgumentParser:
     """The subcommands and their options."""
@@ -89,6 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.command == "report":
             for_pytest += [f"--cpas-report={options.to}"]
             for_pytest += [f"--cpas-against={file}" for file in options.against]
+        guard.is_command = guard.is_command or arguments is None
         return int(pytest.main([*for_pytest, *rest]))
     if rest:
         parser.error(f"unrecognized arguments: {' '.join(rest)}")

@@ -57,8 +57,17 @@ EXAMPLES: Mapping[str, str] = {
 }
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the ``--cpas-*`` options."""
+def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
+    """Add the ``--cpas-*`` options; a run that asks for verdicts is guarded from here on."""
+    _add_options(parser)
+    config = pluginmanager.get_plugin("pytestconfig")
+    if config is not None:
+        from pytest_cpas.session.guard import guard
+
+        guard(config, parser)
+
+
+def _add_options(parser: pytest.Parser) -> None:
     group = parser.getgroup("cpas", "categorical pose and shape")
     group.addoption(
         "--cpas-method",
@@ -267,6 +276,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addini("cpas_alarm", "the same as --cpas-alarm")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
+    """Refuse a run whose root directory an option of ours has moved."""
+    from pytest_cpas.session.rootdir import check_rootdir
+
+    check_rootdir(early_config, _add_options)
+
+
 def pytest_cmdline_main(config: pytest.Config) -> int | None:
     """``--cpas-list`` prints and ends."""
     if not config.option.cpas_list:
@@ -324,6 +341,10 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_cpas.session.speed_session import SpeedSession
 
         config.pluginmanager.register(SpeedSession(config), "cpas-speed-session")
+    from pytest_cpas.session.guard import asked, watch
+
+    if asked(options):
+        watch(config)
 
 
 def _check_needs(config: pytest.Config) -> None:

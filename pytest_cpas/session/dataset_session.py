@@ -28,6 +28,8 @@ SURVEY = pytest.StashKey[Survey]()
 class DatasetSession(SuiteSession):
     """The hooks of a run; ``checked``: its data sets, in the order of the reports."""
 
+    verdicts_told = False
+
     def __init__(self, config: pytest.Config) -> None:
         """Find the data sets; :class:`pytest.UsageError` if that fails."""
         super().__init__(config, "test_dataset.py", "cpas-dataset")
@@ -84,6 +86,7 @@ class DatasetSession(SuiteSession):
                     verdict.details or "there is nothing that it could judge",
                     known=verdict.word is DatasetWord.KNOWN,
                 )
+        self.verdicts_told = True
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Verdicts and residuals; pictures are drawn."""

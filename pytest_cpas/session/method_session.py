@@ -20,6 +20,7 @@ from pytest_cpas import registry
 from pytest_cpas.documents import RunDocument
 from pytest_cpas.evaluation import MethodRun, ResultsError, Run
 from pytest_cpas.golden import orphans
+from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
@@ -45,6 +46,8 @@ class CpasSession(SuiteSession):
     ``options``: what is asked for; ``collected``: what has come back, run by run, in the order of
     the reports; ``stages``: the contract of each run that has one.
     """
+
+    verdicts_told = False
 
     def __init__(self, config: pytest.Config) -> None:
         """Resolve methods, data sets and predictions; :class:`pytest.UsageError` if that fails."""
@@ -78,6 +81,7 @@ class CpasSession(SuiteSession):
         self._with_contract: set[Run] = set()
         self._failed_items = 0
         self._documents: list[RunDocument] = []
+        self._listed: set[str] = set()
         self._report: Path | None = None
 
     @property
@@ -128,6 +132,8 @@ class CpasSession(SuiteSession):
         super().pytest_runtest_logreport(report)
         if self.is_controller and report.failed:
             self._failed_items += 1
+        if "::test_listing[" in report.nodeid:
+            self._listed.add(report.nodeid)
 
     # -- verdict ----------------------------------------------------------------------------
 
@@ -147,7 +153,15 @@ class CpasSession(SuiteSession):
             if not isinstance(sys.exception(), KeyboardInterrupt):
                 self._judge_runs(session)
 
+    def _report_listing(self, session: pytest.Session, run: Run) -> None:
+        """Report a damaged listing whose item was deselected: no selection makes it whole."""
+        nodeid = f"{self.node}::test_listing[{run.method}-{run.dataset}]"
+        if nodeid not in self._listed and (problem := listing_problem(run)):
+            report_outcome(session, nodeid, "failed", problem)
+
     def _judge_runs(self, session: pytest.Session) -> None:
+        for run in self.runs:
+            self._report_listing(session, run)
         for collected in self.collected.values():
             judged = self._judge(collected)
             for verdict in judged.verdicts:
@@ -160,6 +174,7 @@ class CpasSession(SuiteSession):
         except OSError as error:
             message = f"{self.options.report}: the report cannot be written ({error})"
             report_outcome(session, "cpas::report", "failed", message)
+        self.verdicts_told = True
 
     def _judge(self, collected: CollectedRun) -> JudgedRun:
         only_timed = self.options.benchmark and not collected.rows
@@ -201,6 +216,14 @@ class CpasSession(SuiteSession):
                     f"orphaned golden table: no method {folder.parent.name} is registered or was"
                     f" judged; if it is gone, remove {folder}"
                 )
+
+
+def listing_problem(run: Run) -> str:
+    """What is damaged in the listing of a data set, or differs from what was published; or ""."""
+    if run.damaged:
+        return "\n".join(run.damaged)
+    problems = count_problems(run.dataset, run.listed, partial=bool(run.missing))
+    return f"{run.dataset}: " + "\n".join(problems.values()) if problems else ""
 
 
 def cpas_session(config: pytest.Config) -> CpasSession:

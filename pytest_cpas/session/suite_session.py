@@ -8,12 +8,22 @@ from collections import defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
 from pytest_cpas.session.options import Granularity
 from pytest_cpas.types import ItemOutcome, SampleRef
+
+#: Where an item keeps what it found and was known before.
+KNOWN = pytest.StashKey[str]()
+
+
+def known_failure(item: pytest.Item, message: str) -> NoReturn:
+    """End an item as one that fails as is known; ``--runxfail``, which is about the marks of tests,
+    does not make it red."""
+    item.stash[KNOWN] = message
+    raise pytest.xfail.Exception(message)
 
 
 class SuiteSession(ABC):
@@ -23,6 +33,9 @@ class SuiteSession(ABC):
     xdist worker. What an item found rides on its test report to the controller.
     """
 
+    #: Whether all verdicts are told; where items are all there is, they are told with them.
+    verdicts_told = True
+
     def __init__(self, config: pytest.Config, module: str, node: str) -> None:
         """Have ``suite/module`` collected under the node id ``node``.
 
@@ -31,7 +44,7 @@ class SuiteSession(ABC):
         self.config = config
         self.is_controller = not hasattr(config, "workerinput")
         self._suite = Path(__file__).parents[1] / "suite" / module
-        self._node = node
+        self.node = node
         here = str(config.invocation_params.dir)
         if here not in sys.path:  # package.module:Class is looked for where pytest was started
             sys.path.insert(0, here)
@@ -55,7 +68,7 @@ class SuiteSession(ABC):
         if module_path != self._suite:
             return None
         module: pytest.Module = pytest.Module.from_parent(
-            parent, path=module_path, name=self._node, nodeid=self._node
+            parent, path=module_path, name=self.node, nodeid=self.node
         )
         return module
 
@@ -65,15 +78,18 @@ class SuiteSession(ABC):
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Put what an item of this suite found on its report."""
         report = yield
+        if report.when == "call" and KNOWN in item.stash:
+            report.outcome = "skipped"
+            report.wasxfail = item.stash[KNOWN]  # type: ignore[attr-defined]
         if report.when == "call" and item.path == self._suite:
             content = self.item_content(item)
-            report.cpas_content = (self._node, content)  # type: ignore[attr-defined]
+            report.cpas_content = (self.node, content)  # type: ignore[attr-defined]
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """On the controller: collect."""
         node, content = getattr(report, "cpas_content", (None, None))
-        if self.is_controller and node == self._node and content is not None:
+        if self.is_controller and node == self.node and content is not None:
             self.collect(content)
             # pytest keeps the reports of a run; the rows are kept already
             del report.cpas_content

@@ -10,10 +10,9 @@ import pytest
 from pytest_cpas.checks.contract import CONTRACT, ContractCheck
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.evaluation import Run, SampleError
-from pytest_cpas.golden.published import count_problems
 from pytest_cpas.session.collected import ItemResult
-from pytest_cpas.session.method_session import ITEM_RESULT, cpas_session
-from pytest_cpas.session.suite_session import grouped
+from pytest_cpas.session.method_session import ITEM_RESULT, cpas_session, listing_problem
+from pytest_cpas.session.suite_session import grouped, known_failure
 from pytest_cpas.types import SampleRef
 
 
@@ -46,11 +45,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 def test_listing(run: Run) -> None:
     """Every sample can be listed, and a complete copy lists what was published."""
-    if run.damaged:
-        pytest.fail("\n".join(run.damaged), pytrace=False)
-    problems = count_problems(run.dataset, run.listed, partial=bool(run.missing))
-    if problems:
-        pytest.fail(f"{run.dataset}: " + "\n".join(problems.values()), pytrace=False)
+    if problem := listing_problem(run):
+        pytest.fail(problem, pytrace=False)
 
 
 def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest) -> None:
@@ -61,7 +57,7 @@ def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest
         pytest.skip(f"no shard has checked {check.name}")
     request.node.stash[ITEM_RESULT] = ItemResult(contract=result)
     if result.known and result.violated:
-        pytest.xfail(f"known: {result.message}")
+        known_failure(request.node, f"known: {result.message}")
     if result.known:
         pytest.fail(
             f"{check.name} is a known violation of {run.method}, but it holds; remove its"

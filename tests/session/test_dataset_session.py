@@ -84,9 +84,10 @@ def test_fault_is_named(check, pytester, how):
         assert len(picture.getcolors(1 << 20)) > 10  # something is drawn
 
 
-def test_known_fault_is_visible_and_green(check, pytester):
+@pytest.mark.parametrize("how", [(), ("--runxfail",)], ids=" ".join)
+def test_known_fault_is_visible_and_green(check, pytester, how):
     known(pytester, check="depth", sample="scene_1/0001/*", reason="the bench was kicked")
-    result = check()
+    result = check(*how)
     assert result.ret == 0
     result.assert_outcomes(passed=12, xfailed=1, skipped=2)
     result.stdout.fnmatch_lines(
