@@ -23,6 +23,7 @@ import time
 import warnings
 from argparse import Namespace
 from collections.abc import Generator, Sequence
+from types import FrameType
 from typing import NoReturn
 
 import pytest
@@ -242,19 +243,24 @@ class Guard:
 
 
 def _may_fork() -> bool:
-    """Whether this is the process of the command ``pytest`` or ``pytest-cpas``, with one thread.
+    """Whether this run is that of the command ``pytest`` or ``pytest-cpas``, with one thread.
 
-    A program that calls ``pytest.main`` goes on after it and must not be doubled.
+    A program that calls ``pytest.main``, or a test that does, goes on after it and is not doubled.
     """
+    global is_command
     if not hasattr(os, "fork") or threading.active_count() > 1:
         return False
-    frame = None if is_command else sys._getframe()
-    while frame and not (
-        frame.f_globals.get("__name__") == "_pytest.config"
-        and frame.f_code.co_name in ("console_main", "_console_main")
-    ):
+    frame: FrameType | None = sys._getframe()
+    while frame and not _is_of_pytest(frame, "main", "_main"):
         frame = frame.f_back
-    return is_command or frame is not None
+    command, is_command = is_command, False
+    return command or bool(
+        frame and frame.f_back and _is_of_pytest(frame.f_back, "console_main", "_console_main")
+    )
+
+
+def _is_of_pytest(frame: FrameType, *names: str) -> bool:
+    return frame.f_globals.get("__name__") == "_pytest.config" and frame.f_code.co_name in names
 
 
 def hold(record: Record) -> None:

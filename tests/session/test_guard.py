@@ -334,6 +334,20 @@ def test_a_program_that_calls_pytest_is_not_doubled(ends, pytester):
     assert result.stdout.str().count("through") == 1
 
 
+def test_a_test_that_calls_pytest_is_not_doubled(ends, pytester):
+    ends(names=("--version",))
+    file = pytester.makepyfile(
+        f"""
+        import os, pytest
+        def test_nested():
+            before = os.getpid()
+            assert pytest.main([*{RUN!r}, *{NAMES!r}, "--cpas-require-golden"]) == 1
+            assert os.getpid() == before
+        """
+    )
+    assert pytester.runpytest_subprocess(*RUN, file).ret == 0
+
+
 def test_what_was_printed_before_is_printed_once(ends):
     result = ends(plugin="print('loaded', end=' ')")
     assert result.ret == 0
