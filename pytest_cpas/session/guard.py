@@ -151,7 +151,7 @@ class Guard:
         self.record = record
         self._due: set[str] = set()
         self._done: set[str] = set()
-        self._failed = ""
+        self._failed: list[str] = []
         self._status: int | None = None
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -183,7 +183,7 @@ class Guard:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """An item ends, or fails."""
         if report.failed:
-            self._failed = self._failed or report.nodeid
+            self._failed.append(report.nodeid)
         if report.failed or report.when == "teardown":
             self._done.add(report.nodeid)
 
@@ -226,6 +226,7 @@ class Guard:
         sessions = [p for p in config.pluginmanager.get_plugins() if hasattr(p, "verdicts_told")]
         nodes = {session.node for session in sessions}
         undone = sorted(i for i in self._due - self._done if i.partition("::")[0] in nodes)
+        failed = [i for i in self._failed if i.partition("::")[0] in nodes]
         if self._status is None:
             return "pytest ended before its session was over, and told no verdict"
         if undone:
@@ -234,8 +235,8 @@ class Guard:
             return "no item of the run that was asked for was collected and selected"
         if not sessions or not all(session.verdicts_told for session in sessions):
             return "pytest ended and told no verdict"
-        if self._failed.partition("::")[0] in nodes:
-            return f"{self._failed} failed, and a plugin made that a success"
+        if failed:
+            return f"{failed[0]} failed, and a plugin made that a success"
         return ""
 
 
@@ -267,7 +268,7 @@ def hold(record: Record) -> None:
     """Fork. Returns in the child alone; the parent waits for it and ends as it does, or with 1."""
     if sys.platform == "win32":
         return
-    handed_on = {number for number in signal.valid_signals() if _name(number) not in _OWN}
+    handed_on = {int(n) for n in signal.valid_signals() if _name(n) not in _OWN}
     sys.stdout.flush()
     sys.stderr.flush()
     parent = os.getpid()

@@ -80,7 +80,7 @@ class SuiteSession(ABC):
         report = yield
         if report.when == "call" and KNOWN in item.stash:
             report.outcome = "skipped"
-            report.wasxfail = item.stash[KNOWN]  # type: ignore[attr-defined]
+            report.wasxfail = item.stash[KNOWN]
         if report.when == "call" and item.path == self._suite:
             content = self.item_content(item)
             report.cpas_content = (self.node, content)  # type: ignore[attr-defined]

@@ -40,6 +40,11 @@ def children(pid: int) -> list[int]:
     return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
+def workers_of(pid: int) -> list[int]:
+    """xdist's workers, whose controller is the child of the command that was started."""
+    return [worker for controller in children(pid) for worker in children(controller)]
+
+
 def outcome(folder: Path, output: str) -> tuple[list[str], dict[str, bytes]]:
     """The table as printed, and the golden files."""
     table = [line for line in output.splitlines() if " %" in line or "judged" in line]
@@ -75,7 +80,7 @@ def main(trials: int) -> None:
         victim = "controller"
         if process.poll() is not None:
             victim = "nobody: it was through"
-        elif (workers := children(process.pid)) and rng.random() < 0.7:
+        elif (workers := workers_of(process.pid)) and rng.random() < 0.7:
             victim = "worker"
             os.kill(rng.choice(workers), signal.SIGKILL)
             process.communicate()  # the controller goes on with another worker

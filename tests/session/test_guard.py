@@ -191,6 +191,16 @@ def test_conftest_that_hides_a_bad_verdict(ends, what):
     assert ends(conftest=AFTER[what], predict="raise RuntimeError").ret == 1
 
 
+def test_own_tests_that_fail_hide_nothing(ends, pytester):
+    own = pytester.makepyfile(test_own="def test_own(): assert False")
+    planted = {"conftest": AFTER["finish: status"]}
+    result = ends(own, **planted, predict="raise RuntimeError")
+    assert result.ret == 1
+    result.stderr.fnmatch_lines(["ERROR: cpas::test_contract* failed, and a plugin made that a *"])
+    # what a project does with the status of its own tests is its own business
+    assert ends(own, **planted).ret == 0
+
+
 @pytest.mark.parametrize("what", AFTER)
 def test_good_verdict_that_was_told_stays_good(ends, what):
     # an exception out of pytest_unconfigure is an error with or without us
