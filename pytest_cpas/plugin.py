@@ -59,7 +59,7 @@ EXAMPLES: Mapping[str, str] = {
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
     """Add the ``--cpas-*`` options; a run that asks for verdicts is guarded from here on."""
-    _add_options(parser)
+    add_options(parser)
     config = pluginmanager.get_plugin("pytestconfig")
     if config is not None:
         from pytest_cpas.session.guard import guard
@@ -67,7 +67,8 @@ def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginMa
         guard(config, parser)
 
 
-def _add_options(parser: pytest.Parser) -> None:
+def add_options(parser: pytest.Parser) -> None:
+    """The options alone."""
     group = parser.getgroup("cpas", "categorical pose and shape")
     group.addoption(
         "--cpas-method",
@@ -281,7 +282,7 @@ def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
     """Refuse a run whose root directory an option of ours has moved."""
     from pytest_cpas.session.rootdir import check_rootdir
 
-    check_rootdir(early_config, _add_options)
+    check_rootdir(early_config, add_options)
 
 
 def pytest_cmdline_main(config: pytest.Config) -> int | None:

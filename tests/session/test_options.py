@@ -20,7 +20,7 @@ def parse(monkeypatch):
     monkeypatch.delenv("CPAS_DATA", raising=False)
     monkeypatch.delenv("CPAS_WEIGHTS", raising=False)
     declared = DeclaredOptions()
-    plugin.pytest_addoption(declared)
+    plugin.add_options(declared)
     return lambda *arguments: declared.parser.parse_args(arguments)
 
 

@@ -6,7 +6,7 @@ import shlex
 import pytest
 from harness import RUN
 
-from pytest_cpas.plugin import _add_options
+from pytest_cpas.plugin import add_options
 
 
 def _valued():
@@ -14,7 +14,7 @@ def _valued():
     from _pytest.config import get_config
 
     parser = get_config([])._parser
-    _add_options(parser)
+    add_options(parser)
     parser.parse_known_args([])
     optparser = getattr(parser, "optparser", None) or parser._getparser()
     for action in optparser._actions:

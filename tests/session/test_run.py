@@ -331,7 +331,7 @@ def test_option_in_a_configuration_file_may_do_nothing(pytester, alone):
 
 def test_every_option_is_decided_upon():
     declared = DeclaredOptions()
-    plugin.pytest_addoption(declared)
+    plugin.add_options(declared)
     assert FREE | plugin.NEEDS.keys() == declared.names
     assert not FREE & plugin.NEEDS.keys()
 

@@ -32,7 +32,7 @@ def recorded() -> _Recorder:
     recorder = _Recorder()
     others = {name: value for name, value in os.environ.items() if not name.startswith("CPAS_")}
     with mock.patch.dict(os.environ, others, clear=True):
-        plugin.pytest_addoption(recorder)
+        plugin.add_options(recorder)
     return recorder
 
 
