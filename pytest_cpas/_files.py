@@ -18,8 +18,12 @@ def cache_folder() -> Path:
 
 
 def toml_string(text: str) -> str:
-    """Text as a TOML basic string, which a JSON string is."""
-    return json.dumps(text, ensure_ascii=False)
+    """Text as a TOML basic string: a JSON string, but for one character that TOML wants escaped.
+
+    A lone surrogate, which no file in UTF-8 can hold, becomes its escape sequence as text.
+    """
+    text = text.encode("utf-8", "backslashreplace").decode("utf-8")
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def write_file(path: Path, content: str | bytes) -> None:
@@ -33,6 +37,7 @@ def write_file(path: Path, content: str | bytes) -> None:
     try:
         write_through(unfinished, content)
         unfinished.replace(path)
+        sync_folder(path.parent)
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
@@ -45,3 +50,14 @@ def write_through(path: Path, content: str | bytes) -> None:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has the names in a folder, where a folder can be opened for that."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -14,6 +14,7 @@ import scipy
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation.rows import DEFINITIONS, Row
 from pytest_cpas.types import GroundTruth, MethodInfo, SampleRef
+from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
 
 __all__ = ["Run", "SampleError", "Selection"]
@@ -78,7 +79,8 @@ class Run(ABC):
         identity: Mapping[str, str],
     ) -> None:
         """List ``samples``, and select some of them (all if ``selection`` is None)."""
-        self.method, self.dataset = method, dataset
+        self.method = checked_name("method", method)
+        self.dataset = checked_name("data set", dataset)
         self.listed = Counter(sample.category for sample in samples)
         self.samples = (selection or Selection()).of(samples)
         self.missing, self.damaged = missing, damaged

@@ -5,18 +5,31 @@ from __future__ import annotations
 import hashlib
 import io
 import re
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import filelock
 
-from pytest_cpas._files import cache_folder, write_through
-from pytest_cpas.golden.tables import GoldenError, RunTable, _digest, _parse
+from pytest_cpas._files import cache_folder, sync_folder, write_through
+from pytest_cpas.golden.tables import GoldenError, RunTable, parse_golden, parse_samples
+from pytest_cpas.types import ContractError
+from pytest_cpas.types.names import checked_name
 
-__all__ = ["find_golden", "orphans", "read_golden", "record", "shipped_golden"]
+__all__ = ["find_golden", "is_recorded", "orphans", "read_golden", "record", "shipped_golden"]
 
+
+#: The two files of a table.
+_TABLE, _SAMPLES = "table.toml", "samples.csv"
+
+#: How the name of a file ends that is not complete.
+_PART = ".part"
 
 #: Seconds to wait for another update of the same folder.
 _PATIENCE = 60.0
+
+#: A checkout must not change the line ends: the table names the digest of the samples.
+_ATTRIBUTES = b"recorded/** text eol=lf\n"
 
 
 def shipped_golden() -> Path:
@@ -33,26 +46,38 @@ def find_golden(golden: Path, method: str, dataset: str) -> RunTable | None:
     """
     for root in (golden, shipped_golden()):
         folder = _folder(root, method, dataset)
-        if folder.is_dir():
+        _tidy(folder)
+        if is_recorded(folder):
             return read_golden(folder)
     return None
+
+
+def is_recorded(folder: Path) -> bool:
+    """Whether a folder holds a golden table, sound or not: a first update that was killed before
+    it had written one leaves none."""
+    return any((folder / name).exists() for name in (_TABLE, _SAMPLES))
 
 
 def record(golden: Path, table: RunTable) -> Path:
     """Write a run's table below ``golden``, as the golden one, and return its folder.
 
-    The categories that it lacks are kept as they are. Two updates at once wait for each other,
-    and whoever is killed half-way leaves either the old table or the new one. Raises
-    :class:`GoldenError`, the old table intact, for a table that must not be recorded (see
-    :meth:`RunTable.recordable`), a damaged old one, or a disk that does not take it.
+    The categories that it lacks are kept as they are, in the table that is there or else in the one
+    that ships with the plugin. Two updates at once wait for each other, and whoever is killed at
+    any step leaves either the old table or the new one. Raises :class:`GoldenError`, the old table
+    intact, for a table that must not be recorded (see :meth:`RunTable.recordable`), a damaged old
+    one, or a disk that does not take it.
     """
     folder = _folder(golden, table.method, table.dataset)
     try:
-        with _exclusive(folder):
-            previous = read_golden(folder) if folder.is_dir() else None
+        with _exclusive(folder, _PATIENCE):
+            _settle(folder)
+            there = next((f for f in _places(golden, table) if is_recorded(f)), None)
+            previous = None if there is None else _read_told(there)
             _write(folder, table.recordable(previous))
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
+    except OSError as error:
+        raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
     return folder
 
 
@@ -63,45 +88,114 @@ def orphans(golden: Path, methods: set[str]) -> list[Path]:
 
 
 def _folder(golden: Path, method: str, dataset: str) -> Path:
-    return golden / "recorded" / method / dataset
+    """Where a table is: below ``golden``, whatever the names are."""
+    try:
+        names = checked_name("method", method), checked_name("data set", dataset)
+    except ContractError as error:
+        raise GoldenError(str(error)) from error
+    return golden.joinpath("recorded", *names)
 
 
-def _exclusive(folder: Path) -> filelock.BaseFileLock:
+def _places(golden: Path, table: RunTable) -> Iterator[Path]:
+    for root in (golden, shipped_golden()):
+        yield _folder(root, table.method, table.dataset)
+
+
+def _exclusive(folder: Path, patience: float) -> filelock.BaseFileLock:
     """A lock on a folder. Its file is elsewhere: golden tables are kept under version control."""
     name = hashlib.sha256(str(folder.resolve()).encode()).hexdigest()
     path = cache_folder() / "locks" / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    return filelock.FileLock(path, timeout=_PATIENCE)
+    return filelock.FileLock(path, timeout=patience)
+
+
+# -- writing ------------------------------------------------------------------------------------
 
 
 def _write(folder: Path, table: RunTable) -> None:
-    """Both files are complete on the disk before either is replaced.
+    """Replace both files. Under the lock of the folder, and settled.
 
-    Replacing the table commits: from then on :func:`read_golden` takes the samples that it names
-    from the file that is still waiting, should the writer die before that has got its place.
+    Both are complete on the disk, and have been read back, before either is replaced. Replacing
+    the table commits: from then on :func:`_read` takes the samples that it names from the file that
+    is still waiting, should the writer die before that has got its place.
     """
-    samples = table.samples_csv()
-    cells = table.table_toml(samples)
-    waiting, new = _waiting(folder, _digest(samples)), folder / ".table.toml"
+    samples = table.samples_csv().encode()
+    cells = table.table_toml(samples.decode()).encode()
+    digest = hashlib.sha256(samples).hexdigest()
+    _make(folder)
+    attributes = folder.parents[2] / ".gitattributes"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            write_through(waiting, samples.encode())
-            write_through(new, cells.encode())
-            new.replace(folder / "table.toml")
-        except BaseException:
-            waiting.unlink(missing_ok=True)
-            new.unlink(missing_ok=True)
-            raise
-        waiting.replace(folder / "samples.csv")
-        for path in folder.glob(_waiting(folder, "*").name):
-            path.unlink()
-    except OSError as error:
-        raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
+        if not attributes.exists():
+            write_through(folder / f".attributes{_PART}", _ATTRIBUTES)
+            (folder / f".attributes{_PART}").replace(attributes)
+            sync_folder(attributes.parent)
+        if _file_digest(folder / _SAMPLES) != digest:
+            write_through(folder / f".samples{_PART}", samples)
+            (folder / f".samples{_PART}").replace(_waiting(folder, digest))
+        write_through(folder / f".table{_PART}", cells)
+        _check_readable(folder, digest, table)
+        sync_folder(folder)
+        (folder / f".table{_PART}").replace(folder / _TABLE)
+        sync_folder(folder)
+    except BaseException:
+        _settle(folder)
+        raise
+    _settle(folder)
+
+
+def _check_readable(folder: Path, digest: str, table: RunTable) -> None:
+    """Read what is about to replace the old table; :class:`GoldenError` unless it is ``table``."""
+    waiting = _waiting(folder, digest)
+    samples = waiting if waiting.exists() else folder / _SAMPLES
+    try:
+        again = _read_files(folder, folder / f".table{_PART}", samples)
+    except (OSError, UnicodeDecodeError, GoldenError) as error:
+        raise GoldenError(f"what would be recorded cannot be read back ({error})") from error
+    if again.samples_csv() != table.samples_csv() or again.table != table.table:
+        raise GoldenError("what would be recorded is not what is read back")
+
+
+def _make(folder: Path) -> None:
+    """Make a folder and those above it, on the disk."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in missing:
+        sync_folder(path.parent)
+
+
+def _settle(folder: Path) -> None:
+    """Finish what an update that was killed left: samples that a table waits for get their place,
+    what no table names goes. Under the lock of the folder."""
+    leftovers = _leftovers(folder)
+    if not leftovers:
+        return
+    waiting = _waiting(folder, _named_digest(folder))
+    if waiting in leftovers and _file_digest(folder / _SAMPLES) != _named_digest(folder):
+        waiting.replace(folder / _SAMPLES)
+        leftovers.remove(waiting)
+        sync_folder(folder)
+    for path in leftovers:
+        path.unlink(missing_ok=True)
+
+
+def _tidy(folder: Path) -> None:
+    """The same for readers, who leave it to a writer at work, or do without where nothing can be
+    written: :func:`_read` takes a table that was committed from wherever it is."""
+    if _leftovers(folder):
+        with suppress(OSError, filelock.Timeout), _exclusive(folder, 0):
+            _settle(folder)
+
+
+def _leftovers(folder: Path) -> list[Path]:
+    return [*folder.glob(_waiting(folder, "*").name), *folder.glob(f".*{_PART}")]
 
 
 def _waiting(folder: Path, digest: str) -> Path:
+    """Samples, complete, that wait for the table that names them to be in its place."""
     return folder / f".samples-{digest}.csv"
+
+
+# -- reading ------------------------------------------------------------------------------------
 
 
 def read_golden(folder: Path) -> RunTable:
@@ -109,13 +203,23 @@ def read_golden(folder: Path) -> RunTable:
 
     Raises :class:`GoldenError` that names the file.
     """
+    _tidy(folder)
     try:
-        try:
-            return _read(folder)
-        except (OSError, GoldenError):
-            with _exclusive(folder):  # a writer may have come between the two files
-                return _read(folder)
-    except (OSError, UnicodeDecodeError, GoldenError, filelock.Timeout) as error:
+        return _read(folder)
+    except (OSError, ValueError, GoldenError):
+        pass  # a writer may have come between the two files
+    try:
+        with _exclusive(folder, _PATIENCE):
+            return _read_told(folder)
+    except filelock.Timeout as error:
+        raise GoldenError(f"{folder}: an update has held it for {_PATIENCE:g} s") from error
+
+
+def _read_told(folder: Path) -> RunTable:
+    """Read a table that nobody writes; :class:`GoldenError` says what to do if it is damaged."""
+    try:
+        return _read(folder)
+    except (OSError, UnicodeDecodeError, GoldenError) as error:
         raise GoldenError(
             f"{folder}: {error}; it was damaged or edited by hand. Restore it from version"
             " control, or remove it and record it anew with --snapshot-update"
@@ -123,12 +227,41 @@ def read_golden(folder: Path) -> RunTable:
 
 
 def _read(folder: Path) -> RunTable:
-    toml = (folder / "table.toml").read_bytes().decode("utf-8")
-    named = re.search(r'^samples_sha256 = "(\w+)"$', toml, re.MULTILINE)
-    waiting = _waiting(folder, named[1] if named else "")
-    path = waiting if waiting.exists() else folder / "samples.csv"
-    with path.open("rb") as samples_csv:  # which can be large
-        digest = hashlib.file_digest(samples_csv, "sha256").hexdigest()
-        samples_csv.seek(0)
+    """The samples are those that the table names: in their place, or waiting for it."""
+    digest = _named_digest(folder)
+    waiting = _waiting(folder, digest)
+    if waiting.exists() and _file_digest(folder / _SAMPLES) != digest:
+        return _read_files(folder, folder / _TABLE, waiting)
+    return _read_files(folder, folder / _TABLE, folder / _SAMPLES)
+
+
+def _read_files(folder: Path, table: Path, samples: Path) -> RunTable:
+    text = table.read_bytes().decode("utf-8")
+    digest = _file_digest(samples)
+    names = folder.parent.name, folder.name
+    if digest != _named(text) and b"\r\n" in (content := samples.read_bytes()):
+        # checked out with the line ends of Windows; what is recorded has no \r of its own
+        return parse_golden(*names, text, content.replace(b"\r\n", b"\n").decode("utf-8"))
+    with samples.open("rb") as samples_csv:  # which can be large
         lines = io.TextIOWrapper(samples_csv, encoding="utf-8", newline="")
-        return _parse(folder.parent.name, folder.name, toml, lines, digest)
+        return parse_samples(*names, text, lines, digest)
+
+
+def _named_digest(folder: Path) -> str:
+    """The digest of the samples that the table of a folder names, or "" without a table."""
+    path = folder / _TABLE
+    return _named(path.read_text(encoding="utf-8", errors="replace")) if path.exists() else ""
+
+
+def _named(table_toml: str) -> str:
+    named = re.search(r'^samples_sha256 = "(\w+)"\r?$', table_toml, re.MULTILINE)
+    return named[1] if named else ""
+
+
+def _file_digest(path: Path) -> str:
+    """The SHA-256 of a file; "" if there is none."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        return ""

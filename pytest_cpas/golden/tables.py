@@ -23,6 +23,9 @@ __all__ = ["FORMAT", "GoldenError", "RunTable", "TableSample", "differences", "p
 
 FORMAT = 2
 
+#: Characters of a reason that are kept.
+_LONGEST_REASON = 2000
+
 _COLUMNS = (
     "sample",
     "category",
@@ -188,10 +191,21 @@ def _table_samples(rows: Sequence[Row]) -> dict[str, TableSample]:
             outcome=outcome,
             repeats=tuple(row.repeats.split()) if set(row.repeats.split()) - {outcome} else (),
             errors=(row.translation_error, row.rotation_error, row.iou, row.fscore_1cm),
-            failure=row.failure or "",
+            failure=_recordable_text(row.failure or ""),
         )
         for row, outcome in zip(rows, outcomes(rows), strict=True)
     }
+
+
+def _recordable_text(text: str) -> str:
+    """A reason as a table keeps it: not endless, and of characters that every reader takes."""
+    if len(text) > _LONGEST_REASON:
+        text = f"{text[:_LONGEST_REASON]}... ({len(text)} characters)"
+    return re.sub(
+        r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]",
+        lambda match: match[0].encode("unicode_escape").decode("ascii"),
+        text,
+    )
 
 
 def _cell_lines(table: Table) -> list[str]:
@@ -216,12 +230,13 @@ def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunT
     Raises :class:`GoldenError` if they are not, or do not belong together.
     """
     lines = io.StringIO(samples_csv, newline="")
-    return _parse(method, dataset, toml, lines, _digest(samples_csv))
+    return parse_samples(method, dataset, toml, lines, _digest(samples_csv))
 
 
-def _parse(
+def parse_samples(
     method: str, dataset: str, toml: str, samples_csv: Iterable[str], digest: str
 ) -> RunTable:
+    """The same from the lines of ``samples.csv`` and their SHA-256."""
     try:
         content: dict[str, Any] = tomllib.loads(toml)
     except tomllib.TOMLDecodeError as error:
@@ -239,11 +254,11 @@ def _parse(
     if content.get("samples_sha256") != digest:
         raise GoldenError("samples.csv is not the file that table.toml was made with")
     lines = csv.reader(samples_csv)
-    if tuple(next(lines, ())) != _COLUMNS:
-        raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
     try:
+        if tuple(next(lines, ())) != _COLUMNS:
+            raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
         samples = {sys.intern(line[0]): _sample(line) for line in lines}
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, csv.Error) as error:
         raise GoldenError(f"samples.csv: {error}") from error
     for sample in samples.values():
         told = [sample.outcome, *sample.repeats]

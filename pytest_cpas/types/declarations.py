@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 from pytest_cpas.types.answers import Prediction
-from pytest_cpas.types.errors import DeclarationError
+from pytest_cpas.types.errors import DeclarationError, raised_as
+from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import Observation
 
 __all__ = ["EQUIVARIANCES", "Asset", "Method", "MethodInfo", "assets_of"]
@@ -93,11 +93,8 @@ class MethodInfo:
             )
         if not self.categories:
             raise DeclarationError(f"method {self.name!r}: it declares no categories")
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.name):
-            raise DeclarationError(
-                f"method {self.name!r}: a name becomes a folder of golden tables; expected letters,"
-                " digits, '.', '_' and '-'"
-            )
+        with raised_as(DeclarationError):
+            checked_name("method", self.name)
 
 
 @runtime_checkable

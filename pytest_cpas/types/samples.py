@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pytest_cpas.types._arrays import Array, checked_extents, frozen_array
 from pytest_cpas.types.errors import DataError, raised_as
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
+from pytest_cpas.types.names import checked_text
 
 __all__ = [
     "ALL",
@@ -124,7 +125,12 @@ class SampleRef:
             )
         # one object each: few differ, but for the id, which rows and golden tables have too
         for name in ("id", "category", "scene", "model"):
-            object.__setattr__(self, name, sys.intern(str(getattr(self, name))))
+            text = checked_text(f"sample {name}", str(getattr(self, name)))
+            object.__setattr__(self, name, sys.intern(text))
+        if not self.id or not self.category:
+            raise ContractError(
+                f"sample {self.id!r} of category {self.category!r}: both need a name"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,9 @@
 """The files of golden tables: whatever happens to them."""
 
-import itertools
 import multiprocessing
 import os
-import sys
+import subprocess
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -144,47 +144,6 @@ def test_spread_is_not_lost_by_accident(tmp_path):
     assert read_golden(folder) == golden
 
 
-def _dies_updating(root: Path, new: RunTable, step: int) -> bool:
-    """Whether an update dies before it opens, moves or removes a file below ``root`` for the
-    ``step``-th time."""
-    child = os.fork()
-    if child == 0:
-        left = step
-
-        def watch(event, args):
-            nonlocal left
-            if event in ("open", "os.rename", "os.remove") and str(args[0]).startswith(str(root)):
-                if left == 0:
-                    os._exit(9)
-                left -= 1
-
-        try:
-            sys.addaudithook(watch)
-            record(root, new)
-            os._exit(0)
-        finally:
-            os._exit(1)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert code in (0, 9)
-    return code == 9
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_killed_update_leaves_one_table_or_the_other(tmp_path):
-    new, again = table(s_03=9), table(s_05=9)
-    survivors = []
-    for step in itertools.count():
-        folder = record(tmp_path / str(step), GOLDEN)
-        if not _dies_updating(tmp_path / str(step), new, step):
-            break
-        survivors.append(read_golden(folder))
-        assert read_golden(record(tmp_path / str(step), again)) == again
-        assert {path.name for path in folder.iterdir()} == {"table.toml", "samples.csv"}
-    old_ones = survivors.count(GOLDEN)
-    assert survivors == [GOLDEN] * old_ones + [new] * (len(survivors) - old_ones)
-    assert 4 <= old_ones < len(survivors)
-
-
 def _record_often(path: Path, category: str, error: float) -> None:
     for turn in range(20):
         new = rows(**{f"s_{i:02d}": error * (turn % 2) + 1 for i in range(10)})
@@ -210,6 +169,96 @@ def test_two_updates_at_once_lose_nothing(tmp_path):
     final = read_golden(folder)
     assert {s.errors[1] for s in final.samples.values() if s.category == "can"} == {7}
     assert {s.errors[1] for s in final.samples.values() if s.category == "mug"} == {13}
+
+
+def test_part_of_a_shipped_table_keeps_its_other_categories(tmp_path, monkeypatch):
+    monkeypatch.setattr(golden.files, "shipped_golden", lambda: tmp_path / "shipped")
+    record(tmp_path / "shipped", GOLDEN)
+    mugs = [row for row in rows(s_03=9) if row.category == "mug"]
+    own = read_golden(record(tmp_path / "own", RunTable.of(a_run(), mugs)))
+    assert Counter(sample.category for sample in own.samples.values()) == {"can": 5, "mug": 5}
+    with pytest.raises(GoldenError, match="record all categories together"):
+        record(tmp_path / "other", RunTable.of(a_run(data="y"), mugs))
+    assert not (tmp_path / "other").exists()
+
+
+def test_checkout_with_other_line_ends_is_read(tmp_path):
+    failed = [replace(row, failure="line\nand line") for row in rows()]
+    for name, expected in (("a", GOLDEN), ("b", RunTable.of(a_run(), failed))):
+        folder = record(tmp_path / name, expected)
+        for file in folder.iterdir():
+            file.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
+        assert read_golden(folder) == expected
+    (folder / "samples.csv").write_bytes((folder / "samples.csv").read_bytes()[:-9])
+    with pytest.raises(GoldenError, match="Restore it from version control"):
+        read_golden(folder)
+
+
+def test_first_recording_keeps_line_ends_under_version_control(tmp_path):
+    folder = record(tmp_path / "golden", GOLDEN)
+    attributes = tmp_path / "golden" / ".gitattributes"
+    subprocess.run(["git", "init", "-q", "."], cwd=tmp_path, check=True)
+    shown = subprocess.run(
+        ["git", "check-attr", "eol", "text", "--", folder / "samples.csv", folder / "table.toml"],
+        cwd=tmp_path, check=True, capture_output=True, text=True,
+    ).stdout  # fmt: skip
+    assert shown.count("eol: lf") == shown.count("text: set") == 2
+    attributes.write_text("mine\n")
+    record(tmp_path / "golden", table(s_03=9))
+    assert attributes.read_text() == "mine\n"
+
+
+@pytest.mark.parametrize(
+    "reason",
+    [
+        *(
+            chr(code)
+            for code in (*range(1, 32), 127, 128, 133, 159, 0x2028, 0x2029, 0xD800, 0xDFFF)
+        ),
+        "\0",
+        "a\r\nb\rc",
+        "x" * 200_000,
+        "\ud83d",
+        'ends with a quote"',
+        ',\n",',
+        "\N{PILE OF POO} \u202e",
+    ],
+)
+def test_every_reason_is_recorded_and_read(tmp_path, reason):
+    new = rows()
+    new[0] = replace(new[0], failure=f"a{reason}b")
+    folder = record(tmp_path, RunTable.of(a_run(), new))
+    assert read_golden(folder) == RunTable.of(a_run(), new)
+    text = read_golden(folder).samples["s/00"].failure
+    assert text.replace("\n", "").isprintable() or "\t" in text or "\u202e" in text
+    assert len(text) < 3000
+
+
+def test_what_cannot_be_read_back_is_not_recorded(tmp_path, monkeypatch):
+    folder = record(tmp_path, GOLDEN)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    spoilt = {
+        "table_toml": lambda self, samples: "x = [",
+        "samples_csv": lambda self: "sample\n",
+    }
+    for name, text in spoilt.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(RunTable, name, text)
+            with pytest.raises(GoldenError, match="cannot be read back"):
+                record(tmp_path, table(s_03=9))
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "/tmp/x", "..", "a/b", "a\\b", "", "x" * 300, "a\n", "é", ".x"]
+)
+def test_names_never_lead_out_of_the_folder(tmp_path, name):
+    for method, dataset in ((name, "d"), ("m", name)):
+        with pytest.raises(GoldenError, match=r"expected letters|at most"):
+            record(tmp_path / "golden", replace(GOLDEN, method=method, dataset=dataset))
+        with pytest.raises(GoldenError, match=r"expected letters|at most"):
+            golden.find_golden(tmp_path / "golden", method, dataset)
+    assert not list(tmp_path.iterdir())
 
 
 def test_orphans_are_tables_of_methods_that_are_gone(tmp_path):

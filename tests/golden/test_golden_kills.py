@@ -1,0 +1,107 @@
+"""An update of a golden table is killed at every step: the old table or the new one is there."""
+
+import os
+import signal
+import stat
+import sys
+from pathlib import Path
+
+import pytest
+from tables import GOLDEN, RunTable, a_run, rows, table
+
+from pytest_cpas.golden import find_golden, record
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+
+#: What is told to audit hooks before it changes a file or a folder.
+_CHANGES = ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.truncate")
+
+
+class _Steps:
+    """Dies at the ``last``-th step that changes the disk, of those below ``folder``."""
+
+    def __init__(self, folder: Path, last: int) -> None:
+        self.folder, self.left = str(folder), last
+        self.sync = os.fsync
+
+    def install(self) -> None:
+        sys.addaudithook(self.audit)
+        os.fsync = self.fsync
+
+    def step(self) -> bool:
+        self.left -= 1
+        return self.left < 0
+
+    def audit(self, event: str, args: tuple) -> None:
+        changes = event in _CHANGES and (event != "open" or (args[2] or 0) & os.O_ACCMODE)
+        if changes and str(args[0]).startswith(self.folder) and self.step():
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def fsync(self, descriptor: int) -> None:
+        """Half of a file is on the disk, or all of it, when the writer dies."""
+        if self.step():
+            if stat.S_ISREG(os.fstat(descriptor).st_mode):
+                os.truncate(descriptor, os.fstat(descriptor).st_size // 2)
+            os.kill(os.getpid(), signal.SIGKILL)
+        self.sync(descriptor)
+        if self.step():
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def killed(golden: Path, new: RunTable, step: int) -> bool:
+    """Record in a process that is killed at a step; whether it was."""
+    child = os.fork()
+    if child == 0:
+        _Steps(golden, step).install()
+        record(golden, new)
+        os._exit(0)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code in (0, -signal.SIGKILL)
+    return code != 0
+
+
+def files(golden: Path) -> set[str]:
+    return {p.name for p in golden.rglob("*") if p.is_file()} - {".gitattributes"}
+
+
+MUGS = RunTable.of(a_run(), [row for row in rows(s_03=9) if row.category == "mug"])
+ELSEWHERE = RunTable("m", "d", GOLDEN.identity, {"python": "4"}, GOLDEN.samples, GOLDEN.listed)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (None, GOLDEN, GOLDEN),
+        (GOLDEN, table(s_03=9), table(s_03=9)),
+        (GOLDEN, MUGS, table(s_03=9)),
+        (GOLDEN, GOLDEN, GOLDEN),
+        (GOLDEN, ELSEWHERE, ELSEWHERE),
+    ],
+    ids=["first", "other", "part", "same", "same samples"],
+)
+def test_killed_at_every_step(tmp_path, old, new, expected):
+    # the cache has the locks, and is made before anything is counted
+    record(tmp_path / "other", GOLDEN)
+    step, seen = 0, []
+    while True:
+        golden = tmp_path / str(step)
+        if old:
+            record(golden, old)
+        died = killed(golden, new, step)
+        survivor = find_golden(golden, "m", "d")
+        assert survivor in (old, expected), f"neither, after step {step}"
+        # whoever reads leaves what git knows, and nothing else
+        assert files(golden) == ({"table.toml", "samples.csv"} if survivor else set())
+        seen.append(survivor)
+        record(golden, new)
+        assert find_golden(golden, "m", "d") == expected
+        assert files(golden) == {"table.toml", "samples.csv"}
+        if not died:
+            break
+        step += 1
+    assert step >= 6
+    if old != expected:
+        assert seen[0] == old
+        assert seen[-1] == expected
+        # one step commits: it never goes back
+        assert seen == sorted(seen, key=lambda survivor: survivor == expected)
