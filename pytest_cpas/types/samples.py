@@ -124,13 +124,13 @@ class SampleRef:
                 " something else; give the category another name"
             )
         # one object each: few differ, but for the id, which rows and golden tables have too
-        for name in ("id", "category", "scene", "model"):
-            text = checked_text(f"sample {name}", str(getattr(self, name)))
-            object.__setattr__(self, name, sys.intern(text))
+        with raised_as(DataError):
+            for name in ("id", "category", "scene", "model"):
+                text = checked_text(f"sample {name}", str(getattr(self, name)))
+                object.__setattr__(self, name, sys.intern(text))
         if not self.id or not self.category:
-            raise ContractError(
-                f"sample {self.id!r} of category {self.category!r}: both need a name"
-            )
+            seen = f"sample {self.id!r} of category {self.category!r}"
+            raise DataError(f"{seen}: both need a name")
 
 
 @dataclass(frozen=True, eq=False)

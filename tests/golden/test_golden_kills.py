@@ -4,6 +4,7 @@ import os
 import signal
 import stat
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -65,7 +66,7 @@ def files(golden: Path) -> set[str]:
 
 
 MUGS = RunTable.of(a_run(), [row for row in rows(s_03=9) if row.category == "mug"])
-ELSEWHERE = RunTable("m", "d", GOLDEN.identity, {"python": "4"}, GOLDEN.samples, GOLDEN.listed)
+ELSEWHERE = replace(GOLDEN, provenance={"python": "4"})
 
 
 @pytest.mark.parametrize(
