@@ -155,7 +155,7 @@ class MethodRun(Run):
 
     def _judge(self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str) -> Row:
         try:
-            answers = method.predict([sample.observation], seed)
+            answers = method.predict([sample.observation.copy()], seed)
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import functools
 import inspect
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from pytest_cpas.evaluation import (
 )
 from pytest_cpas.golden import RunTable
 from pytest_cpas.types import ContractError, Sample, SampleRef
+from pytest_cpas.types.samples import evenly
 
 __all__ = [
     "ContractStage",
@@ -71,6 +71,17 @@ def smoke_samples(run: MethodRun, count: int = SMOKE_SAMPLES) -> list[Sample]:
     return list(chosen.values())
 
 
+def further_samples(run: MethodRun, chosen: Sequence[Sample]) -> list[Sample]:
+    """One sample of each category of a run that ``chosen`` lack, as those were chosen."""
+    lacking = {ref.category for ref in run.samples} - {sample.ref.category for sample in chosen}
+    further = []
+    for category in sorted(lacking):
+        refs = [ref for ref in run.samples if ref.category == category]
+        if candidates := _read(run, evenly(refs, 3), {}):
+            further.append(max(candidates, key=_evidence))
+    return further
+
+
 def _read(run: MethodRun, refs: Sequence[SampleRef], known: dict[str, Sample]) -> list[Sample]:
     samples = []
     for ref in refs:
@@ -100,9 +111,10 @@ class ContractStage:
 
     @functools.cached_property
     def _subject(self) -> MethodSubject:
-        method = self.run.loaded()
+        method, samples = self.run.loaded(), smoke_samples(self.run)
+        further = further_samples(self.run, samples)
         return MethodSubject(
-            method, smoke_samples(self.run), seed=self.run.seed, fresh=self.run.fresh
+            method, samples, further=further, seed=self.run.seed, fresh=self.run.fresh
         )
 
     def result(self, check: ContractCheck) -> ContractResult:
@@ -119,15 +131,10 @@ class ContractStage:
             if known is not None and result.violated:
                 message = f"{known.reason} {result.message}"
                 result = replace(result, known=True, message=message)
-            elif known is not None and gone([known], [], complete=self.complete):
+            elif known is not None and gone([known], [], complete=is_complete(self.run)):
                 result = replace(result, known=True)
-            self._results[check.name] = result
+            self._results[check.name] = replace(result, recorded=known is not None)
         return self._results[check.name]
-
-    @property
-    def complete(self) -> bool:
-        """Whether the run has all samples of the data set."""
-        return len(self.run.samples) == sum(self.run.listed.values())
 
     @property
     def wrong(self) -> str:
@@ -158,11 +165,18 @@ class StoredStage:
     #: As of :class:`ContractStage`; the shards have judged their samples, so nothing is stopped.
     wrong = ""
 
-    def __init__(self, shards: Sequence[Mapping[str, Mapping[str, Any]]]) -> None:
+    def __init__(self, run: MergedRun) -> None:
         """From what each shard stored, by check."""
-        results = [ContractResult(**result) for shard in shards for result in shard.values()]
+        results = [ContractResult(**result) for shard in run.contract for result in shard.values()]
         results.sort(key=lambda result: (result.violated, not result.known))
         self._results = {result.check: result for result in results}
+        if is_complete(run):
+            # what no shard came across does not happen
+            self._results |= {
+                name: replace(result, known=True)
+                for name, result in self._results.items()
+                if result.recorded and not result.violated
+            }
 
     def result(self, check: ContractCheck) -> ContractResult | None:
         """What the shards found; None if none of them ran the check."""
@@ -177,10 +191,15 @@ class StoredStage:
 Stage = ContractStage | StoredStage
 
 
+def is_complete(run: Run) -> bool:
+    """Whether a run has all samples of its data set."""
+    return len(run.samples) == sum(run.listed.values())
+
+
 def contract_stages(runs: Sequence[Run]) -> dict[Run, Stage]:
     """The contract of each run that has one; :class:`DeclarationError` for a damaged file."""
     return {
-        run: StoredStage(run.contract) if isinstance(run, MergedRun) else ContractStage(run)
+        run: StoredStage(run) if isinstance(run, MergedRun) else ContractStage(run)
         for run in runs
         if isinstance(run, MergedRun | MethodRun) and run.under_contract
     }

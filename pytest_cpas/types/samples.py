@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -77,6 +78,13 @@ class Observation:
             )
         if not self.mask.any():
             raise DataError("mask: empty, so there is no object to find")
+
+    def copy(self) -> Observation:
+        """The same with arrays of its own, which may be written to."""
+        made = copy.copy(self)
+        for name in ("rgb", "depth", "mask"):
+            object.__setattr__(made, name, getattr(self, name).copy())
+        return made
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

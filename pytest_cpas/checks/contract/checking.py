@@ -84,11 +84,14 @@ class MethodSubject:
         method: Method,
         samples: Sequence[Sample],
         *,
+        further: Sequence[Sample] = (),
         seed: int = 0,
         fresh: Callable[[], Method] | None = None,
     ) -> None:
-        """``fresh``: gives another instance of the method, loaded."""
+        """``further``: one sample of each category that ``samples`` lack, for checks that blank or
+        disturb what is seen; ``fresh``: gives another instance of the method, loaded."""
         self.method, self.samples, self.seed, self.fresh = method, samples, seed, fresh
+        self.further = further
         self.info: MethodInfo = method.info
 
     @property
@@ -164,7 +167,23 @@ class MethodSubject:
             method = self.fresh()
         except Exception:
             return None  # which is the finding of the check `fresh_instance`
-        return MethodSubject(method, self.samples, seed=self.seed, fresh=self.fresh)
+        return MethodSubject(
+            method, self.samples, further=self.further, seed=self.seed, fresh=self.fresh
+        )
+
+    @functools.cached_property
+    def _of_further(self) -> list[Prediction]:
+        return [self.predict([sample.observation])[0] for sample in self.further]
+
+    def of_each_category(self) -> list[tuple[Observation, Prediction]]:
+        """One observation of each category, and the answer to it; else as
+        :meth:`repeated_answers`."""
+        answers = self.repeated_answers()
+        pairs = [
+            *zip(self.observations, answers, strict=True),
+            *zip((sample.observation for sample in self.further), self._of_further, strict=True),
+        ]
+        return list({pair[0].category: pair for pair in pairs}.values())
 
     def hypotheses(self) -> list[tuple[Observation, Hypothesis]]:
         """The observations that have an answer, and the best one in the standard frames."""
@@ -188,16 +207,7 @@ class MethodSubject:
         return self._call(batch, method or self.method, random_state).answers
 
     def _call(self, batch: Sequence[Observation], method: Method, random_state: int) -> _Call:
-        given = [
-            Observation(
-                category=o.category,
-                rgb=o.rgb.copy(),
-                depth=o.depth.copy(),
-                mask=o.mask.copy(),
-                camera=o.camera,
-            )
-            for o in batch
-        ]
+        given = [observation.copy() for observation in batch]
         with _global_random_state(random_state) as changed_state:
             try:
                 answers = method.predict(given, self.seed)
@@ -310,13 +320,18 @@ def contract(
 
 @dataclass(frozen=True)
 class ContractResult:
-    """The outcome of one check of one method. ``known``: its violation is recorded."""
+    """The outcome of one check of one method.
+
+    ``known``: its violation is recorded, and happened or should have; ``recorded``: it is recorded,
+    and a run of a part of the samples did not come across it.
+    """
 
     check: str
     outcome: Outcome
     demanded: bool
     message: str = ""
     known: bool = False
+    recorded: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "outcome", Outcome(self.outcome))

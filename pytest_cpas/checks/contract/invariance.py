@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
@@ -18,7 +18,7 @@ from pytest_cpas.checks.contract.checking import (
     difference,
 )
 from pytest_cpas.checks.outcome import Finding, Outcome
-from pytest_cpas.types import MethodInfo
+from pytest_cpas.types import MethodInfo, Observation
 
 __all__ = [
     "check_background",
@@ -97,11 +97,20 @@ def check_order(subject: MethodSubject) -> None:
 )
 def check_no_evidence(subject: MethodSubject) -> None:
     """Without depth in the mask there is an answer or a reason, whatever was asked before."""
-    first = subject.observations[0]
-    blank = replace(first, depth=np.where(first.mask, 0, first.depth).astype(np.float32))
-    said = []
     subject.repeated_answers()
-    for observation in subject.observations[:2]:
+    own = [observation for observation, _ in subject.of_each_category()]
+    if len(own) == 1:
+        own = subject.observations[:2]
+    for index, observation in enumerate(own):
+        seen = np.where(observation.mask, 0, observation.depth).astype(np.float32)
+        _no_evidence(subject, replace(observation, depth=seen), [observation, own[index - 1]])
+
+
+def _no_evidence(
+    subject: MethodSubject, blank: Observation, previous: Sequence[Observation]
+) -> None:
+    said = []
+    for observation in previous:
         before = subject.predict([observation])[0]
         try:
             said.append(subject.predict([blank])[0])
@@ -113,15 +122,15 @@ def check_no_evidence(subject: MethodSubject) -> None:
         if said[-1].hypotheses and not difference(said[-1], before, 0):
             raise Finding(
                 Outcome.VIOLATED,
-                "without depth in the mask, the answer is the previous sample's; return"
-                " Prediction.failed with the reason",
+                f"without depth in the mask of a {blank.category}, the answer is the previous"
+                " sample's; return Prediction.failed with the reason",
             )
     for again in said[1:]:
         subject.same(
             again,
             said[0],
-            "without depth in the mask, the answer depends on the sample before; return"
-            " Prediction.failed with the reason",
+            f"without depth in the mask of a {blank.category}, the answer depends on the sample"
+            " before; return Prediction.failed with the reason",
         )
 
 
@@ -207,26 +216,23 @@ def check_depth(subject: MethodSubject) -> None:
 
 
 def _unchanged(subject: MethodSubject, part: str, advice: str) -> None:
-    expected = subject.repeated_answers()[-1]
-    last = subject.observations[-1]
-    array = getattr(last, part)
-    noise = np.random.default_rng(0).random(array.shape, np.float32)
-    subject.same(
-        subject.predict([replace(last, **{part: noise})])[0],
-        expected,
-        f"{part} changed the answer: {advice}",
-    )
+    for observation, expected in subject.of_each_category():
+        noise = np.random.default_rng(0).random(getattr(observation, part).shape, np.float32)
+        subject.same(
+            subject.predict([replace(observation, **{part: noise})])[0],
+            expected,
+            f"{part} changed the answer: {advice}",
+        )
 
 
 @contract(demanded=lambda info: False)
 def check_background(subject: MethodSubject) -> None:
     """Pixels outside of the mask do not matter."""
-    expected = subject.repeated_answers()[-1]
-    last = subject.observations[-1]
-    rgb, depth = last.rgb.copy(), last.depth.copy()
-    rgb[~last.mask], depth[~last.mask] = 0, 0
-    subject.same(
-        subject.predict([replace(last, rgb=rgb, depth=depth)])[0],
-        expected,
-        "colour or depth outside of the mask changed the answer",
-    )
+    for observation, expected in subject.of_each_category():
+        rgb, depth = observation.rgb.copy(), observation.depth.copy()
+        rgb[~observation.mask], depth[~observation.mask] = 0, 0
+        subject.same(
+            subject.predict([replace(observation, rgb=rgb, depth=depth)])[0],
+            expected,
+            "colour or depth outside of the mask changed the answer",
+        )
