@@ -29,6 +29,7 @@ _SELECTING = (*_METHOD, "--cpas-predictions", "--cpas-check-dataset")
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-report": _RUN,
     "--cpas-results": _RUN,
+    "--cpas-results-reuse": ("--cpas-results",),
     "--cpas-require-golden": _RUN,
     "--cpas-granularity": (*_RUN, "--cpas-check-dataset"),
     "--cpas-category": _SELECTING,
@@ -51,6 +52,7 @@ EXAMPLES: Mapping[str, str] = {
     "--cpas-method": "--cpas-method icp --cpas-dataset synthetic-tabletop",
     "--cpas-benchmark": "--cpas-benchmark",
     "--cpas-report": "--cpas-report DIR",
+    "--cpas-results": "--cpas-results DIR",
     "--cpas-merge": "--cpas-merge FILE",
     "--cpas-metrics": "--cpas-metrics cpas",
     "--cpas-check-dataset": "--cpas-check-dataset synthetic-tabletop",
@@ -151,6 +153,14 @@ def add_options(parser: pytest.Parser) -> None:
         "--cpas-results",
         metavar="DIR",
         help="keep the rows in DIR as they come; the same command goes on where it was killed",
+    )
+    group.addoption(
+        "--cpas-results-reuse",
+        choices=("same", "any"),
+        default="same",
+        help="which rows in --cpas-results are not computed again: those of the same program, told"
+        " by a digest of the method's sources and by the versions of what it imports, or those of"
+        " any (default: same)",
     )
     group.addoption(
         "--cpas-merge",

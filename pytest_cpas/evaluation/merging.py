@@ -13,6 +13,7 @@ from pytest_cpas.evaluation.results import (
     ResultsError,
     Shard,
     header_differences,
+    program_differences,
     read_results,
 )
 from pytest_cpas.evaluation.rows import Row
@@ -93,7 +94,10 @@ def _check_shards(parts: Sequence[Results], allow_gaps: bool) -> None:
     for part in parts:
         shard, count = Shard.parse(part.header.shard), Shard.parse(first.header.shard).count
         same = replace(part.header, shard=first.header.shard, selected=first.header.selected)
-        differences = header_differences(first.header, same)
+        differences = [
+            *header_differences(first.header, same),
+            *program_differences(first.header, same),
+        ]
         if shard.count != count:
             differences.append(f"shards are {count}, now {shard.count}")
         if differences:

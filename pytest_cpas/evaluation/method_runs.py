@@ -11,6 +11,7 @@ from pathlib import Path
 from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
 from pytest_cpas.evaluation.measuring import declared_part, measure
+from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.evaluation.rows import Row, outcomes
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.types import (
@@ -82,6 +83,7 @@ class MethodRun(Run):
         self._keeps_shapes = keeps_shapes
         self.under_contract = shared is None
         self.info = method.info
+        self.provenance = {**self.provenance, **program_of(type(method)).facts()}
         self.quick_truth = dataset.quick_truth
         self.focal = dataset.camera.fx if dataset.camera else None
         self.robustness_point = dataset.point if isinstance(dataset, Perturbed) else None

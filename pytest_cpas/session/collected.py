@@ -9,7 +9,7 @@ from typing import Any
 
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.documents import SpeedDocument
-from pytest_cpas.evaluation import ResultsFile, Row, Run
+from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run
 
 __all__ = ["CollectedRun", "ItemResult"]
 
@@ -83,6 +83,25 @@ class CollectedRun:
     def speed(self) -> SpeedDocument | None:
         """What was measured of the method's speed, None if nothing was."""
         return self._speed
+
+    @property
+    def origin(self) -> str:
+        """Where the rows come from, in words: computed now, kept from an earlier run, merged."""
+        reused = 0 if self._file is None else len(self._file.rows)
+        new = len(self._rows.keys() - self._file.rows.keys()) if self._file else len(self._rows)
+        parts = []
+        if isinstance(self.run, MergedRun):
+            parts.append(f"merged {new}")
+        elif new or not reused:
+            parts.append(f"computed {new}")
+        if self._file is not None and reused:
+            parts.append(f"reused {reused} from {self._file.path}")
+        if self._file is not None and self._file.rows_not_reused:
+            parts.append(
+                f"not reused {self._file.rows_not_reused} of another program"
+                f" ({'; '.join(self._file.not_reused)})"
+            )
+        return ", ".join(parts)
 
     def add(self, result: ItemResult) -> None:
         """Take in what an item found; :class:`pytest_cpas.evaluation.ResultsError` if the disk does

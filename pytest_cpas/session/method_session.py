@@ -67,7 +67,7 @@ class CpasSession(SuiteSession):
                 alarm=alarm_level(config),
             )
             runs = resolve_runs(options)
-            files = open_results(options.results, options.shard, runs)
+            files = open_results(options, runs)
             self.stages = contract_stages(runs)
             others = read_others(options.others, runs) if self.is_controller else []
         self.collected = {run: CollectedRun(run, files.get(run)) for run in runs}

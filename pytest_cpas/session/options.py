@@ -28,8 +28,8 @@ class RunOptions:
 
     Paths are as they are opened. ``golden`` is the folder of golden tables; ``seeds`` counts the
     seeds that each sample is judged under, from ``seed`` on; ``alarm`` is the probability of a
-    false alarm against a golden table of several seeds; ``others`` are the files of the runs to
-    compare with.
+    false alarm against a golden table of several seeds; ``reuse_any``: whether rows in ``results``
+    serve that another program computed; ``others`` are the files of the runs to compare with.
     """
 
     methods: Sequence[str] = ()
@@ -51,6 +51,7 @@ class RunOptions:
     require_golden: Required = False
     alarm: float = ALARM
     results: Path | None = None
+    reuse_any: bool = False
     report: Path | None = None
     others: Sequence[Path] = ()
 
@@ -86,6 +87,7 @@ class RunOptions:
             require_golden=options.cpas_require_golden,
             alarm=alarm,
             results=_path(here, options.cpas_results),
+            reuse_any=options.cpas_results_reuse == "any",
             report=_path(here, options.cpas_report),
             others=_paths(here, options.cpas_against),
         )

@@ -79,12 +79,17 @@ def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
     return make
 
 
-def open_results(folder: Path | None, shard: Shard, runs: Sequence[Run]) -> dict[Run, ResultsFile]:
+def open_results(options: RunOptions, runs: Sequence[Run]) -> dict[Run, ResultsFile]:
     """The results file of each run, with the rows that it holds already; none without a folder.
 
     Raises :class:`pytest_cpas.evaluation.ResultsError` for one that is damaged or another run's.
     """
-    return {} if folder is None else {run: ResultsFile(folder, run, shard) for run in runs}
+    if options.results is None:
+        return {}
+    return {
+        run: ResultsFile(options.results, run, options.shard, reuse_any=options.reuse_any)
+        for run in runs
+    }
 
 
 def read_others(paths: Sequence[Path], runs: Sequence[Run]) -> list[RunDocument]:

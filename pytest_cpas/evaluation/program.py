@@ -1,0 +1,210 @@
+"""Which program answers: the sources of a method, what it runs on, and its revision.
+
+Rows that one program computed say nothing of another one. :func:`program_of` follows the imports of
+a method's module, without running any, through everything that is its own: its distribution, the
+folders that it shares with others outside of ``site-packages``, extension modules, and the data
+files beside a module that its text names. Other distributions are known by their versions.
+
+What cannot be seen this way: modules that are imported by a name computed at run time, files
+elsewhere, the machine's libraries.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib.machinery
+import importlib.metadata
+import inspect
+import platform
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["UNKNOWN", "Program", "program_of"]
+
+#: The digest of a program whose sources are not on a disk.
+UNKNOWN = "unknown"
+
+#: Seconds that git may take to tell the revision.
+_PATIENCE = 10.0
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program that answers.
+
+    ``code``: a digest of its sources, or :data:`UNKNOWN`; ``packages``: name and version of the
+    distributions that they import; ``revision``: that of the git repository they are in, with
+    ``+`` if it has changes, or "".
+    """
+
+    code: str
+    packages: str
+    revision: str
+
+    def facts(self) -> Mapping[str, str]:
+        """As provenance has it."""
+        facts = {"code": self.code, "packages": self.packages, "revision": self.revision}
+        return {name: fact for name, fact in facts.items() if fact}
+
+
+@functools.cache
+def program_of(method: type) -> Program:
+    """The program of a method's class: its module, those of its bases, and what they import."""
+    modules = {kind.__module__ for kind in method.__mro__ if kind.__module__ != "builtins"}
+    search = _Search()
+    for module in sorted(modules):
+        search.follow(module)
+    try:
+        source = Path(inspect.getfile(method))
+    except (TypeError, OSError):
+        source = None
+    known = source is not None and source.resolve() in search.files
+    code = search.digest() if known else UNKNOWN
+    return Program(code, search.packages(), _revision(source) if source and known else "")
+
+
+class _Search:
+    """The modules that are reached from some, and the distributions at whose border it ends."""
+
+    def __init__(self) -> None:
+        #: Path and name of every file that is the program's own.
+        self.files: dict[Path, str] = {}
+        self._seen: set[str] = set()
+        self._foreign: set[str] = set()
+        self._installed = [
+            Path(sysconfig.get_path(name)).resolve() for name in ("purelib", "platlib")
+        ]
+        self._distributions: set[str] = set()
+
+    def follow(self, module: str) -> None:
+        """Take in a module, the packages it is in, and whatever they import."""
+        waiting = [module]
+        self._distributions |= set(_distributions().get(module.partition(".")[0], ()))
+        while waiting:
+            name = waiting.pop()
+            if name in self._seen:
+                continue
+            self._seen.add(name)
+            top = name.partition(".")[0]
+            if top in sys.stdlib_module_names or top == "__main__":
+                continue
+            path = _file_of(name)
+            if path is None:
+                # an attribute of a module, something optional, or a distribution without a file
+                if "." not in name and top in _distributions():
+                    self._foreign.add(top)
+                continue
+            if not self._is_own(top, path):
+                self._foreign.add(top)
+                continue
+            self.files[path] = name
+            if "." in name:
+                waiting.append(name.rpartition(".")[0])
+            if path.suffix == ".py":
+                text = path.read_bytes()
+                is_package = path.stem == "__init__"
+                try:
+                    tree = ast.parse(text)
+                except SyntaxError:
+                    continue
+                waiting += _imports(tree, name, is_package)
+                self.files |= {file: f"{name}/{file.name}" for file in _named_files(tree, path)}
+
+    def _is_own(self, top: str, path: Path) -> bool:
+        """Whether a file is the program's: of the same distribution, or not installed at all."""
+        if any(path.is_relative_to(folder) for folder in self._installed):
+            return bool(self._distributions.intersection(_distributions().get(top, ())))
+        return True
+
+    def digest(self) -> str:
+        """Of the names and contents of all files, wherever they are."""
+        total = hashlib.sha256()
+        for name, path in sorted((name, path) for path, name in self.files.items()):
+            with path.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256").hexdigest()
+            total.update(f"{name} {content}\n".encode(errors="backslashreplace"))
+        return total.hexdigest()[:16]
+
+    def packages(self) -> str:
+        """Python, and the distributions that are imported, with their versions."""
+        names = {name for top in self._foreign for name in _distributions().get(top, ())}
+        versions = [f"{name} {importlib.metadata.version(name)}" for name in sorted(names)]
+        return ", ".join([f"python {platform.python_version()}", *versions])
+
+
+@functools.cache
+def _distributions() -> Mapping[str, Sequence[str]]:
+    """The distributions of each importable top-level name."""
+    return importlib.metadata.packages_distributions()
+
+
+def _file_of(name: str) -> Path | None:
+    """The file of a module, found without importing anything; None if there is none."""
+    path: Sequence[str] | None = None
+    parts = name.split(".")
+    for index in range(len(parts)):
+        part = ".".join(parts[: index + 1])
+        spec = importlib.machinery.PathFinder.find_spec(part, path)
+        if spec is None:
+            return None
+        path = list(spec.submodule_search_locations or ())
+    if spec is None or not spec.has_location or spec.origin is None:
+        return None
+    return Path(spec.origin).resolve()
+
+
+def _imports(tree: ast.Module, module: str, is_package: bool) -> Iterator[str]:
+    """Every name that a module may import, wherever in it: modules, and what may be one."""
+    package = module if is_package else module.rpartition(".")[0]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = package.split(".")
+                kept = parts[: len(parts) + 1 - node.level]
+                base = ".".join([*kept, *([node.module] if node.module else [])])
+            if base:
+                yield base
+                yield from (f"{base}.{alias.name}" for alias in node.names if alias.name != "*")
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            yield from (
+                argument.value
+                for argument in node.args[:1]
+                if isinstance(argument, ast.Constant) and isinstance(argument.value, str)
+                if argument.value.replace(".", "").isidentifier()
+                and not argument.value.startswith(".")
+            )
+
+
+def _named_files(tree: ast.Module, path: Path) -> Iterator[Path]:
+    """The files beside a module that its text names, such as a table of priors."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            name = node.value
+            if 2 < len(name) < 100 and "." in name and not set(name) & set('/\\\0\n:*?"<>|'):
+                file = path.parent / name
+                if file.is_file() and file.suffix != ".py":
+                    yield file.resolve()
+
+
+def _revision(source: Path) -> str:
+    """The commit that a file is of; "" where there is no repository, or no git."""
+    try:
+        told = subprocess.run(  # noqa: S603 - a fixed command
+            ["git", "-C", source.parent, "describe", "--always", "--dirty=+"],  # noqa: S607
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return told.stdout.strip() if told.returncode == 0 else ""
