@@ -265,9 +265,7 @@ class ResultsFile:
             )
         programs = program_differences(there.header, self.header)
         if self.header.provenance.get("code") == UNKNOWN:
-            programs.append(
-                "the method's sources are not in files, so nobody knows if they changed"
-            )
+            programs.append("the method's sources are in no file, so they may have changed")
         if programs and not reuse_any:
             self.not_reused, self.rows_not_reused = programs, len(there.rows)
             return
@@ -287,8 +285,11 @@ class ResultsFile:
                 self._write({"header": asdict(self.header), "format": FORMAT})
             elif self._another_program:
                 self._write({"program": dict(self.header.provenance)})
-        except OSError as error:
-            raise ResultsError(f"{self.path}: cannot be written ({error})") from error
+        except BaseException as error:
+            self.__exit__()
+            if isinstance(error, OSError):
+                raise ResultsError(f"{self.path}: cannot be written ({error})") from error
+            raise
         return self
 
     def _open(self) -> None:
@@ -309,7 +310,6 @@ class ResultsFile:
             # nothing is lost: the old rows stay beside the new ones
             self.path.rename(_free(self.path))
             file.close()
-            self._stamp, self.not_reused = None, tuple(self.not_reused)
             self._file = file = self.path.open("xb", buffering=0)
             _lock(file)
         file.truncate(self._size)

@@ -18,7 +18,6 @@ from pytest_cpas.evaluation import (
     ResultsError,
     ResultsFile,
     Run,
-    Shard,
     StoredRun,
     merge,
 )
