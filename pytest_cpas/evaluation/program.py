@@ -65,7 +65,7 @@ def program_of(method: type) -> Program:
     except (TypeError, OSError):
         source = None
     known = source is not None and source.resolve() in search.files
-    code = search.digest() if known else UNKNOWN
+    code = search.digest(f"{method.__module__}:{method.__qualname__}") if known else UNKNOWN
     return Program(code, search.packages(), _revision(source) if source and known else "")
 
 
@@ -122,9 +122,9 @@ class _Search:
             return bool(self._distributions.intersection(_distributions().get(top, ())))
         return True
 
-    def digest(self) -> str:
-        """Of the names and contents of all files, wherever they are."""
-        total = hashlib.sha256()
+    def digest(self, name: str) -> str:
+        """Of what is run, by name, and of the names and contents of all files."""
+        total = hashlib.sha256(name.encode(errors="backslashreplace"))
         for name, path in sorted((name, path) for path, name in self.files.items()):
             with path.open("rb") as file:
                 content = hashlib.file_digest(file, "sha256").hexdigest()

@@ -205,7 +205,7 @@ class CpasSession(SuiteSession):
             self._reporter.document(JudgedRun.unjudged(collected))
             for collected in self.collected.values()
         ]
-        self._reporter.print(terminalreporter, self.runs, documents)
+        self._reporter.print(terminalreporter, list(self.collected.values()), documents)
         if self._report:
             terminalreporter.write_line(f"report: {self._report}")
         if self.options.update:

@@ -79,15 +79,16 @@ class Reporter:
     def print(
         self,
         terminal: pytest.TerminalReporter,
-        runs: Sequence[Run],
+        collected: Sequence[CollectedRun],
         documents: Sequence[RunDocument],
     ) -> None:
-        """Print tables and verdicts of ``runs``; of perturbed data that passes, only its curves."""
-        points = [run.robustness_point for run in runs]
+        """Print tables and verdicts of runs, and where their rows come from; of perturbed data that
+        passes, only its curves."""
+        points = [each.run.robustness_point for each in collected]
         shown = list(zip(points, documents, strict=False))  # not all are judged if that broke off
-        for point, run in shown:
+        for each, (point, run) in zip(collected, shown, strict=False):
             sound = not any(verdict["outcome"] == "failed" for verdict in run["verdicts"])
             if point and sound and terminal.config.get_verbosity() <= 0:
                 continue  # a point of the curves below
-            print_run(terminal, run)
+            print_run(terminal, run, each.origin)
         print_robustness(terminal, shown)

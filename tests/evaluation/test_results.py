@@ -130,6 +130,11 @@ def test_merge_command(pytester, shards, monkeypatch, capsys):
 # -- resuming ---------------------------------------------------------------------------------
 
 
+def contents(file: bytes) -> list[bytes]:
+    """The lines behind the header, in any order, without what tells their order."""
+    return sorted(line.partition(b" ")[2] for line in file.splitlines()[1:])
+
+
 def test_run_goes_on_after_every_kind_of_cut(recorded, pytester):
     """Cut the file at every line, and within lines, as a killed writer would leave it."""
     whole = recorded("Perfect", "--cpas-results=out", "--cpas-require-golden")
@@ -141,7 +146,7 @@ def test_run_goes_on_after_every_kind_of_cut(recorded, pytester):
         resumed = recorded("Perfect", "--cpas-results=out", "--cpas-require-golden")
         assert resumed.ret == 0
         assert table(resumed) == table(whole)
-        assert sorted(path.read_bytes().splitlines()) == sorted(content.splitlines())
+        assert contents(path.read_bytes()) == contents(content)
 
 
 def test_done_samples_are_not_judged_again(recorded, pytester):
@@ -151,15 +156,18 @@ def test_done_samples_are_not_judged_again(recorded, pytester):
     # a method that would break every sample finds nothing left to do
     (path,) = (pytester.path / "out").iterdir()
     assert len(read_results(path).rows) == 12
-    assert recorded("WrongLength", "--cpas-results=out", "-k", "test_sample").ret == 0
-    assert recorded("WrongLength", "--cpas-results=out").ret == 1  # its contract is looked at
+    reuse = ("--cpas-results=out", "--cpas-results-reuse=any")
+    kept = recorded("WrongLength", *reuse, "-k", "test_sample")
+    assert kept.ret == 0
+    kept.stdout.fnmatch_lines([f"rows: reused 12 from *{path.name}"])
+    assert recorded("WrongLength", *reuse).ret == 1  # its contract is looked at
 
 
 def test_errors_are_tried_again(recorded, pytester):
     assert recorded("Raises", "--cpas-results=out").ret == 1
     (path,) = (pytester.path / "out").iterdir()
     assert list(read_results(path).errors) == ["scene_1/0005"]
-    assert recorded("Perfect", "--cpas-results=out").ret == 0
+    assert recorded("Perfect", "--cpas-results=out", "--cpas-results-reuse=any").ret == 0
     assert read_results(path).errors == {}
     assert len(read_results(path).rows) == 12
 
@@ -185,6 +193,7 @@ def test_every_damage_is_noticed(recorded, pytester):
         assert "checksum is wrong" in error
     for content, words in (
         (b"", "does not begin with the header"),
+        (b'0123456789abcdef {"header":', "does not begin with the header"),
         (b"hello\n", "checksum is wrong"),
         (b"00000000 \n", "did not write it"),
         (os.urandom(300) + b"\n", "checksum is wrong"),
@@ -269,10 +278,122 @@ def test_killed_runs_end_with_the_same_table(recorded, pytester, how):
 def test_files_are_plain_json_behind_their_checksum(recorded, pytester):
     recorded("Refuses", "--cpas-results=out")
     (path,) = (pytester.path / "out").iterdir()
-    header, *found = [json.loads(line[9:]) for line in path.read_text().splitlines()]
+    header, *found = [json.loads(line[17:]) for line in path.read_text().splitlines()]
     rows = [value for value in found if "row" in value]
     assert header["header"]["listed"] == {"bowl": 6, "mug": 6}
     assert {row["row"]["failure"] for row in rows} == {None, "too few points"}
     assert {v["contract"]["check"] for v in found if "contract" in v} == CONTRACT.keys()
     assert len(found) == len(rows) + len(CONTRACT) == 12 + len(CONTRACT)
     assert [run.method for run in merge([path])] == ["perfect"]
+
+
+# -- whose rows ---------------------------------------------------------------------------------
+
+GOOD = """
+from tiny import *
+
+class Mine(Perfect):
+    info = replace(Perfect.info, name="mine")
+"""
+
+BROKEN = (
+    GOOD
+    + """
+    def predict(self, batch, seed):
+        return [Prediction.failed("broken") for _ in batch]
+"""
+)
+
+
+@pytest.fixture
+def mine(cpas, pytester):
+    """Run a method of a module of one's own, whose text is given."""
+
+    def run(text: str, *args: str) -> pytest.RunResult:
+        pytester.makepyfile(mine=text)
+        names = ("--cpas-method=mine:Mine", "--cpas-dataset=tiny:Tiny")
+        return pytester.runpytest_subprocess(*RUN, *names, *args)
+
+    cpas("Perfect", "--collect-only")  # has tiny copied
+    assert run(GOOD, "--snapshot-update").ret == 0
+    return run
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_rows_of_a_program_that_was_broken_since_are_not_believed(mine, pytester, how):
+    keep = ("--cpas-results=out", "--cpas-require-golden", *how)
+    good = mine(GOOD, *keep)
+    assert good.ret == 0
+    good.stdout.fnmatch_lines(["rows: computed 12"])
+    again = mine(GOOD, *keep)
+    assert again.ret == 0
+    again.stdout.fnmatch_lines(["rows: reused 12 from *mine-tiny.jsonl"])
+    broken = mine(BROKEN, *keep)
+    assert broken.ret == 1
+    broken.stdout.fnmatch_lines(
+        ["rows: computed 12, not reused 12 of another program (code was *, now *)", "*REGRESSED*"]
+    )
+    mended = mine(GOOD, *keep)
+    assert mended.ret == 0
+    mended.stdout.fnmatch_lines(["rows: computed 12, not reused 12*", "*MATCHES*"])
+    assert {path.name for path in (pytester.path / "out").iterdir()} == {
+        "mine-tiny.jsonl",
+        "mine-tiny.1.old",
+        "mine-tiny.2.old",
+    }
+
+
+def test_rows_are_reused_on_purpose_only(mine):
+    assert mine(GOOD, "--cpas-results=out").ret == 0
+    broken = mine(BROKEN, "--cpas-results=out", "--cpas-results-reuse=any", "-k", "test_sample")
+    assert broken.ret == 0
+    broken.stdout.fnmatch_lines(["rows: reused 12 from *"])
+
+
+def test_merged_rows_are_told(mine, pytester):
+    mine(GOOD, "--cpas-results=out")
+    merged = pytester.runpytest_inprocess(*RUN, "--cpas-merge=out/mine-tiny.jsonl")
+    merged.stdout.fnmatch_lines(["rows: merged 12"])
+
+
+def test_two_runs_into_one_folder_at_once(cpas, pytester, request):
+    """The second one is refused, whatever it is; the first loses nothing."""
+    pytester.makepyfile(slow=SLOW)
+    names = ("--cpas-method=slow:Slow", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
+    cpas("Perfect", "--collect-only")
+    command = [sys.executable, "-m", "pytest", *RUN, *names]
+    with (pytester.path / "log").open("wb") as log:
+        first = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+        request.addfinalizer(first.wait)
+        path = pytester.path / "out" / "slow-tiny.jsonl"
+        deadline = time.monotonic() + 60
+        while not (path.exists() and path.stat().st_size) and time.monotonic() < deadline:
+            time.sleep(0.002)
+        for seed in ("--cpas-seed=1", "--cpas-seed=0"):
+            second = pytester.runpytest_subprocess(*RUN, *names, seed)
+            assert second.ret in (pytest.ExitCode.USAGE_ERROR, pytest.ExitCode.INTERRUPTED)
+            output = second.stdout.str() + second.stderr.str()
+            assert "another run" in output
+            assert "Traceback" not in output
+        assert first.wait() == 0, (pytester.path / "log").read_text()
+    assert len(read_results(path).rows) == 12
+
+
+def test_folder_that_is_deleted_ends_the_run(cpas, pytester):
+    pytester.makepyfile(
+        deleting="""
+        import shutil
+        from tiny import *
+
+        class Deleting(Perfect):
+            def predict(self, batch, seed):
+                shutil.rmtree("out", ignore_errors=True)
+                return super().predict(batch, seed)
+        """
+    )
+    cpas("Perfect", "--collect-only")
+    names = ("--cpas-method=deleting:Deleting", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
+    result = pytester.runpytest_subprocess(*RUN, *names)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    output = result.stdout.str() + result.stderr.str()
+    assert "was removed or replaced while this run was writing it" in output

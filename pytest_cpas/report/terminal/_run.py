@@ -34,9 +34,9 @@ def shows_samples(config: pytest.Config, judged: int) -> bool:
     return judged <= FEW or config.get_verbosity() > 0
 
 
-def print_run(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
+def print_run(terminal: pytest.TerminalReporter, run: RunDocument, origin: str) -> None:
     """Print what was missing, the contract, the samples of a small run, the precision table, the
-    verdict, and what explains it."""
+    ``origin`` of the rows in words, the verdict, and what explains it."""
     terminal.section(f"{run['method']} on {run['dataset']}", bold=True)
     for line in run["missing"]:
         terminal.write_line(f"missing: {line}")
@@ -46,6 +46,7 @@ def print_run(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
     if run["judged"]:
         print_table(terminal, _precision_lines(run["precision"]))
     terminal.write_line(judged_message(run))
+    terminal.write_line(f"rows: {origin}")
     by_word: dict[str, list[VerdictDocument]] = {}
     for verdict in run["verdicts"]:
         by_word.setdefault(verdict["word"], []).append(verdict)
