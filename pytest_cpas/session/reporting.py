@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from pytest_cpas.documents import RunDocument
-from pytest_cpas.evaluation import Run
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.files import write_report
