@@ -35,7 +35,7 @@ MOVED: dict[str, tuple[str, str]] = {
     "pytest_cpas.frames": ("pytest_cpas.types.frames", "pytest_cpas.types.frames"),
     "pytest_cpas.predictions": ("pytest_cpas.evaluation.predictions", "pytest_cpas.evaluation"),
     "pytest_cpas.published": ("pytest_cpas.golden.published", "pytest_cpas.golden"),
-    "pytest_cpas.results": ("pytest_cpas.evaluation.results", "pytest_cpas.evaluation"),
+    "pytest_cpas.results": ("pytest_cpas.evaluation", "pytest_cpas.evaluation"),
     "pytest_cpas.robustness": ("pytest_cpas.datasets.perturbed", "pytest_cpas.datasets.perturbed"),
     "pytest_cpas.snapshot": ("pytest_cpas.golden.snapshot", "pytest_cpas.golden.snapshot"),
     "pytest_cpas.sources": ("pytest_cpas.datasets.sources", "pytest_cpas.datasets.sources"),

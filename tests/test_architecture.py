@@ -67,11 +67,11 @@ ARROWS: Mapping[str, set[str]] = {
         "types",
         "_open3d",
     },
-    "suite": {"session", "timing", "checks", "golden", "evaluation", "types"},
+    "suite": {"session", "timing", "checks", "evaluation", "types"},
     "listing": {"registry", "types"},
     "new_adapter": {"registry"},
     "plugin": {"session", "listing", "golden"},
-    "cli": {"fetching", "report", "evaluation", "new_adapter", "types"},
+    "cli": {"session", "fetching", "report", "evaluation", "new_adapter", "types"},
     # what it hands out is imported when it is asked for
     "__init__": {"types", "_deprecation"},
     # an adapter needs no more, whoever wrote it

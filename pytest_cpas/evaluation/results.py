@@ -364,7 +364,7 @@ def _stamp(path: Path) -> tuple[int, ...] | None:
     """What changes when somebody writes a file; None if there is none."""
     try:
         seen = path.stat()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         raise ResultsError(f"{path}: cannot be read ({error})") from error

@@ -13,7 +13,7 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,12 +71,22 @@ class Word(VerdictWord):
     NOT_RECORDED = "NOT RECORDED", "failed"
 
 
-def compare(golden: RunTable | None, new: RunTable, *, alarm: float = ALARM) -> list[Verdict]:
+def compare(
+    golden: RunTable | None,
+    new: RunTable,
+    *,
+    alarm: float = ALARM,
+    excluded: Collection[str] = (),
+) -> list[Verdict]:
     """Compare a run's table with its golden one; one verdict per category.
 
     Where the golden table allows for a spread there is one more, of all categories together, and
-    ``alarm`` is the probability with which any of them is called without a change.
+    ``alarm`` is the probability with which any of them is called without a change. Categories that
+    are ``excluded`` were not asked for: nothing is said of them.
     """
+    if excluded:
+        golden = golden and golden.without(excluded)
+        new = new.without(excluded)
     if golden is None:
         return [
             Verdict(
@@ -97,6 +107,8 @@ def compare(golden: RunTable | None, new: RunTable, *, alarm: float = ALARM) -> 
             )
         ]
     categories = sorted({*golden.listed, *new.listed})
+    if not categories:
+        return [Verdict(Word.NOT_CHECKED, ALL, "no category was asked for")]
     pairings = [Pairing.of(golden, new, category) for category in categories]
     # a commit changes often, and the digest of the code tells whether that means anything
     told = {key: fact for key, fact in golden.provenance.items() if key != "revision"}

@@ -10,7 +10,7 @@ import re
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -112,6 +112,14 @@ class RunTable:
         metrics = ("position_m", "rotation_deg", "iou", "fscore")
         samples = self.samples.values()
         return Errors({m: [sample.errors[i] for sample in samples] for i, m in enumerate(metrics)})
+
+    def without(self, categories: Collection[str]) -> RunTable:
+        """This table without some categories, as if they were not there."""
+        return replace(
+            self,
+            samples={k: s for k, s in self.samples.items() if s.category not in categories},
+            listed={k: n for k, n in self.listed.items() if k not in categories},
+        )
 
     def recordable(self, previous: RunTable | None) -> RunTable:
         """This table with the categories of ``previous`` that it does not hold itself.

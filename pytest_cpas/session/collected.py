@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -58,6 +58,8 @@ class CollectedRun:
         self._errors: dict[str, str] = {}
         self._contract: dict[str, ContractResult] = {}
         self._speed: SpeedDocument | None = None
+        self._named: frozenset[str] = frozenset()
+        self._deselected: frozenset[str] = frozenset()
 
     @property
     def rows(self) -> Mapping[str, Row]:
@@ -84,6 +86,19 @@ class CollectedRun:
         """What was measured of the method's speed, None if nothing was."""
         return self._speed
 
+    def excluded(self, categories: Iterable[str]) -> set[str]:
+        """Those of some categories that were not asked for, as a whole."""
+        return {
+            category
+            for category in categories
+            if category in self._deselected or (self._named and category not in self._named)
+        }
+
+    def exclude(self, *, named: Iterable[str], deselected: Iterable[str]) -> None:
+        """Take in what was asked for: the categories that were ``named`` (all if none was), but for
+        those whose items were all ``deselected``."""
+        self._named, self._deselected = frozenset(named), frozenset(deselected)
+
     @property
     def origin(self) -> str:
         """Where the rows come from, in words: computed now, kept from an earlier run, merged."""
@@ -101,6 +116,8 @@ class CollectedRun:
                 f"not reused {self._file.rows_not_reused} of another program"
                 f" ({'; '.join(self._file.not_reused)})"
             )
+        if excluded := self.excluded(self.run.listed):
+            parts.append(f"not asked for {' '.join(sorted(excluded))}")
         return ", ".join(parts)
 
     def add(self, result: ItemResult) -> None:

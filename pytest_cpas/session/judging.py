@@ -66,7 +66,7 @@ def judge(collected: CollectedRun, folder: Path, *, alarm: float = ALARM) -> Jud
     """
     table = RunTable.of(collected.run, collected.ordered_rows)
     golden, damage = _golden(collected.run, folder)
-    verdicts = [damage] if damage else _verdicts(collected.run, table, golden, alarm)
+    verdicts = [damage] if damage else _verdicts(collected, table, golden, alarm)
     return _explained(collected, table, golden, verdicts)
 
 
@@ -102,13 +102,19 @@ def _golden(run: Run, folder: Path) -> tuple[RunTable | None, Verdict | None]:
         return None, Verdict(Word.DAMAGED, ALL, str(error))
 
 
-def _verdicts(run: Run, table: RunTable, golden: RunTable | None, alarm: float) -> list[Verdict]:
+def _verdicts(
+    collected: CollectedRun, table: RunTable, golden: RunTable | None, alarm: float
+) -> list[Verdict]:
     """Against the golden table; where there is none, against the published counts."""
+    run = collected.run
+    excluded = collected.excluded({*run.listed, *(golden.listed if golden else ())})
     if golden is None and table.samples:
-        verdicts = compare_published(published_cells(run.dataset, run.method), table.table)
-        if verdicts:
+        cells = published_cells(run.dataset, run.method)
+        if excluded:  # and then a figure over all categories is none over those that were asked for
+            cells = [cell for cell in cells if cell.category not in {*excluded, ALL}]
+        if verdicts := compare_published(cells, table.table):
             return verdicts
-    return compare(golden, table, alarm=alarm)
+    return compare(golden, table, alarm=alarm, excluded=excluded)
 
 
 def _explained(

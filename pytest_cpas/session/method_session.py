@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from pytest_cpas.session.judging import JudgedRun, judge, record_run
 from pytest_cpas.session.options import RunOptions
 from pytest_cpas.session.reporting import Reporter
 from pytest_cpas.session.resolution import open_results, read_others, resolve_runs
-from pytest_cpas.session.suite_session import SuiteSession, report_outcome, usage_errors
+from pytest_cpas.session.suite_session import SuiteSession, grouped, report_outcome, usage_errors
 from pytest_cpas.types import ContractError, Verdict
 
 __all__ = ["ITEM_RESULT", "CpasSession", "cpas_session"]
@@ -80,6 +80,7 @@ class CpasSession(SuiteSession):
         self._progress = watch(config, runs, {run: c.rows for run, c in self.collected.items()})
         self._with_contract: set[Run] = set()
         self._failed_items = 0
+        self._selected: set[str] = set()
         self._documents: list[RunDocument] = []
         self._listed: set[str] = set()
         self._report: Path | None = None
@@ -108,6 +109,26 @@ class CpasSession(SuiteSession):
                 self._with_contract.add(callspec.params["run"])
             else:  # what pytest makes of no values for a parameter
                 items.remove(item)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_node_collection_finished(self, ids: Sequence[str]) -> None:
+        """What a worker is to run."""
+        self._selected.update(ids)
+
+    def _exclude_categories(self, session: pytest.Session) -> None:
+        """See which categories are left out as a whole, by --cpas-category or by a selection of
+        items: those are not asked for. What a limit or a shard leaves out is."""
+        self._selected.update(item.nodeid for item in session.items)
+        for run, collected in self.collected.items():
+            there, selected = set[str](), set[str]()
+            for name, refs in grouped(run.samples, self.options.granularity):
+                categories = {ref.category for ref in refs}
+                there |= categories
+                if f"{self.node}::test_sample[{run.method}-{run.dataset}-{name}]" in self._selected:
+                    selected |= categories
+            # where no node id is known, pytest has made them otherwise, and they say nothing
+            deselected = there - selected if selected else ()
+            collected.exclude(named=self.options.selection.categories, deselected=deselected)
 
     def item_content(self, item: pytest.Item) -> Any:
         """The run's index and what the item found; None for items that judge no sample."""
@@ -162,8 +183,10 @@ class CpasSession(SuiteSession):
     def _judge_runs(self, session: pytest.Session) -> None:
         for run in self.runs:
             self._report_listing(session, run)
+        self._exclude_categories(session)
+        failed_items = self._failed_items  # the verdicts of other runs are none
         for collected in self.collected.values():
-            judged = self._judge(collected)
+            judged = self._judge(collected, failed_items)
             for verdict in judged.verdicts:
                 self._report_verdict(session, judged.run, verdict)
             self._documents.append(self._reporter.document(judged))
@@ -176,13 +199,13 @@ class CpasSession(SuiteSession):
             report_outcome(session, "cpas::report", "failed", message)
         self.verdicts_told = True
 
-    def _judge(self, collected: CollectedRun) -> JudgedRun:
+    def _judge(self, collected: CollectedRun, failed_items: int) -> JudgedRun:
         only_timed = self.options.benchmark and not collected.rows
         if self.options.update and not only_timed:
             return record_run(
                 collected,
                 self.options.golden,
-                failed_items=self._failed_items,
+                failed_items=failed_items,
                 alarm=self.options.alarm,
             )
         return judge(collected, self.options.golden, alarm=self.options.alarm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -26,6 +27,7 @@ from pytest_cpas.checks.metrics import (
 )
 from pytest_cpas.checks.metrics.exact import shared_volume
 from pytest_cpas.checks.metrics.recorded import known_of
+from pytest_cpas.checks.metrics.subject import time_limit
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.metric_subjects.cpas import METRICS
 from pytest_cpas.types import ContractError
@@ -339,3 +341,25 @@ def test_recorded_violations_of_peers(name):
         assert (
             replay(subject, PROPERTIES[prop], recorded[prop].case).outcome is recorded[prop].outcome
         )
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs timers of POSIX")
+@pytest.mark.parametrize("seconds", [0.05, 30.0])
+def test_timer_of_somebody_else_goes_on(seconds):
+    """Another plugin's limit is not lost, also if it passes while an implementation is timed."""
+    rung = []
+    before = signal.signal(signal.SIGALRM, lambda *_: rung.append(1))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+        with time_limit(10):
+            time.sleep(0.1)
+            assert not rung
+        left, _ = signal.getitimer(signal.ITIMER_REAL)
+        if seconds < 1:
+            time.sleep(0.05)
+            assert rung
+        else:
+            assert 25 < left <= 30
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

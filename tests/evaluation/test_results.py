@@ -21,7 +21,7 @@ def table(result: pytest.RunResult) -> list[str]:
     """What a run says about precision and verdict."""
     lines = result.stdout.lines
     start = next(i for i, line in enumerate(lines) if line.startswith("correct "))
-    return [line for line in lines[start:] if line and "==" not in line]
+    return [line for line in lines[start:] if line and "==" not in line and "rows: " not in line]
 
 
 @pytest.fixture
@@ -195,7 +195,7 @@ def test_every_damage_is_noticed(recorded, pytester):
         (b"", "does not begin with the header"),
         (b'0123456789abcdef {"header":', "does not begin with the header"),
         (b"hello\n", "checksum is wrong"),
-        (b"00000000 \n", "did not write it"),
+        (b"e3b0c44298fc1c14 \n", "did not write it"),
         (os.urandom(300) + b"\n", "checksum is wrong"),
     ):
         path.write_bytes(content)
@@ -358,14 +358,28 @@ def test_merged_rows_are_told(mine, pytester):
 
 def test_two_runs_into_one_folder_at_once(cpas, pytester, request):
     """The second one is refused, whatever it is; the first loses nothing."""
-    pytester.makepyfile(slow=SLOW)
-    names = ("--cpas-method=slow:Slow", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
-    cpas("Perfect", "--collect-only")
-    command = [sys.executable, "-m", "pytest", *RUN, *names]
+    pytester.makepyfile(
+        waits="""
+        import time
+        from pathlib import Path
+        from tiny import *
+
+        class Waits(Perfect):
+            def predict(self, batch, seed):
+                while not Path("go").exists():
+                    time.sleep(0.01)
+                return super().predict(batch, seed)
+        """
+    )
+    names = ("--cpas-method=waits:Waits", "--cpas-dataset=tiny:Tiny", "--cpas-results=out")
+    cpas("Perfect", "--collect-only")  # has tiny copied
     with (pytester.path / "log").open("wb") as log:
-        first = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+        first = subprocess.Popen(
+            [sys.executable, "-m", "pytest", *RUN, *names], stdout=log, stderr=subprocess.STDOUT
+        )
         request.addfinalizer(first.wait)
-        path = pytester.path / "out" / "slow-tiny.jsonl"
+        request.addfinalizer(first.kill)
+        path = pytester.path / "out" / "perfect-tiny.jsonl"
         deadline = time.monotonic() + 60
         while not (path.exists() and path.stat().st_size) and time.monotonic() < deadline:
             time.sleep(0.002)
@@ -375,6 +389,7 @@ def test_two_runs_into_one_folder_at_once(cpas, pytester, request):
             output = second.stdout.str() + second.stderr.str()
             assert "another run" in output
             assert "Traceback" not in output
+        (pytester.path / "go").touch()
         assert first.wait() == 0, (pytester.path / "log").read_text()
     assert len(read_results(path).rows) == 12
 
