@@ -162,9 +162,12 @@ def peers(session: nox.Session) -> None:
 
 @nox.session
 def stress(session: nox.Session) -> None:
-    """Kill 50 runs at random moments; each is resumed and ends with the same table."""
-    install(session, "-e", ".[xdist]")
+    """Kill runs and writers at 200 random moments, and golden updates at every step: the old table
+    or the new one is there, and each run is resumed and ends with the same table."""
+    install(session, "-e", ".[xdist]", "--group", "test")
     session.run("python", "tests/session/stress_kills.py", *session.posargs, env=ENV)
+    enumerated = ("tests/golden/test_golden_kills.py", "tests/evaluation/test_results_file.py")
+    session.run("pytest", *enumerated, env=ENV)
 
 
 @nox.session

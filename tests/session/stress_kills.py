@@ -1,10 +1,15 @@
-"""Kill runs at random moments and resume them: ``python tests/session/stress_kills.py [TRIALS]``.
+"""Kill runs and writers at random moments: ``python tests/session/stress_kills.py [TRIALS]``.
+
+A quarter of the trials are runs, the others updates of a golden table and writers of a results file
+in turns, which are killed in the midst of it: the old table or the new one is there, and what is
+kept of the rows is the beginning of what was written.
 
 Every trial starts a run, alternately in one process and with two xdist workers, kills the
 controller or a worker with SIGKILL at a random moment, and runs the same command until it is
 through. The table and the recorded golden files must be those of a run that nobody disturbed.
 """
 
+import itertools
 import os
 import random
 import shutil
@@ -13,11 +18,16 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # when this is run as a script
 
 from harness import RUN
+from tables import GOLDEN, a_run, rows, table
+
+from pytest_cpas.evaluation import ResultsFile, Shard, read_results
+from pytest_cpas.golden import find_golden, record
 
 SLOW = """
 import time
@@ -60,7 +70,62 @@ def until_through(folder: str, args: list[str]) -> str:
     raise SystemExit(f"{folder}: five runs did not end well:\n{done.stdout}")
 
 
-def main(trials: int) -> None:
+def writer(kind: str, folder: Path, started: Path) -> None:
+    """Update or write for ever."""
+    started.touch()
+    for turn in itertools.count():
+        if kind == "golden":
+            record(folder, table(s_03=9) if turn % 2 else GOLDEN)
+            continue
+        shutil.rmtree(folder / "out", ignore_errors=True)
+        with ResultsFile(folder / "out", a_run(), Shard(1, 1)) as file:
+            for row in rows():
+                file.add(row)
+
+
+def kill_writer(kind: str, root: Path, rng: random.Random) -> str:
+    """Kill one, and see what is left; returns it in a word."""
+    folder = root / f"{kind}-{rng.random()}"
+    folder.mkdir()
+    started = folder / "started"
+    record(folder, GOLDEN)
+    child = os.fork()
+    if child == 0:
+        writer(kind, folder, started)
+        os._exit(1)
+    while not started.exists():
+        time.sleep(0.001)
+    time.sleep(rng.uniform(0, 0.05))
+    os.kill(child, signal.SIGKILL)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    if kind == "golden":
+        survivor = find_golden(folder, "m", "d")
+        assert survivor in (GOLDEN, table(s_03=9))
+        left = {path.name for path in (folder / "recorded" / "m" / "d").iterdir()}
+        assert left == {"table.toml", "samples.csv"}, left
+        return "old table" if survivor == GOLDEN else "new table"
+    path = folder / "out" / "m-d.jsonl"
+    file = ResultsFile(folder / "out", a_run(), Shard(1, 1))
+    kept = list(file.rows.values())
+    assert kept == rows()[: len(kept)]
+    with file:
+        for row in rows()[len(kept) :]:
+            file.add(row)
+    assert list(read_results(path).rows.values()) == rows()
+    return f"{len(kept)} rows"
+
+
+def kill_writers(trials: int) -> None:
+    rng = random.Random(trials)
+    root = Path(tempfile.mkdtemp(prefix="writers-"))
+    left = Counter(
+        kill_writer(("golden", "results")[trial % 2], root, rng) for trial in range(trials)
+    )
+    shutil.rmtree(root)
+    print(f"{trials} writers, killed in the midst of it; left were {dict(sorted(left.items()))}")
+
+
+def kill_runs(trials: int) -> None:
     rng = random.Random(trials)
     root = Path(tempfile.mkdtemp(prefix="kills-"))
     os.chdir(root)
@@ -94,4 +159,6 @@ def main(trials: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 50)
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    kill_writers(count - count // 4)
+    kill_runs(count // 4)
