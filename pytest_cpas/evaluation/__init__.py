@@ -14,10 +14,10 @@ from pytest_cpas.evaluation.results import (
     Header,
     Results,
     ResultsError,
-    ResultsFile,
     Shard,
     read_results,
 )
+from pytest_cpas.evaluation.results_file import ResultsFile
 from pytest_cpas.evaluation.rows import (
     DEFINITIONS,
     FSCORE_DISTANCE,

@@ -1,0 +1,203 @@
+"""The results file of a run that goes on: one writer at a time, a line for every row."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, astuple
+from pathlib import Path
+from typing import Any
+
+from pytest_cpas.evaluation.program import UNKNOWN
+from pytest_cpas.evaluation.results import (
+    FORMAT,
+    Header,
+    ResultsError,
+    Shard,
+    checksum_of,
+    header_differences,
+    is_torn_header,
+    parse_results,
+    program_differences,
+    read_bytes,
+)
+from pytest_cpas.evaluation.rows import Row
+from pytest_cpas.evaluation.runs import Run
+
+__all__ = ["ResultsFile"]
+
+
+class ResultsFile:
+    """The results file of one run, which grows by a line per sample.
+
+    Whoever runs the same command again finds the samples that are done in ``rows``, as long as it
+    is the same program that would compute them.
+    """
+
+    def __init__(self, folder: Path, run: Run, shard: Shard, *, reuse_any: bool = False) -> None:
+        """Read what is there. Raises :class:`ResultsError` if it is damaged or another run's.
+
+        ``reuse_any``: rows of another program serve as well.
+        """
+        part = "" if shard.count == 1 else f"-{shard.index}-of-{shard.count}"
+        self.path = folder / f"{run.method}-{run.dataset}{part}.jsonl"
+        self.header = Header.of(run, shard)
+        self._refs = {ref.id: astuple(ref) for ref in run.samples}
+        self.rows: Mapping[str, Row] = {}
+        #: Why the rows of an older file are not reused, and how many there are: another program's.
+        self.not_reused: Sequence[str] = ()
+        self.rows_not_reused = 0
+        self._contract: Mapping[str, Mapping[str, Any]] = {}
+        self._size, self._last = 0, b""
+        self._another_program = False
+        self._file: io.RawIOBase | None = None
+        self._stamp = _stamp(self.path)
+        if self._stamp is not None:
+            self._read(reuse_any)
+
+    def _read(self, reuse_any: bool) -> None:
+        content = read_bytes(self.path)
+        if is_torn_header(content):
+            return
+        there = parse_results(self.path, content)
+        if differences := header_differences(there.header, self.header):
+            raise ResultsError(
+                f"{self.path} holds another run: {'; '.join(differences)}. Remove it, or name"
+                " another folder"
+            )
+        if strangers := sorted(there.refs.keys() - self._refs.keys()):
+            raise ResultsError(
+                f"{self.path} has {len(strangers)} samples that this run does not have, such as"
+                f" {strangers[0]}. Remove it, or name another folder"
+            )
+        programs = program_differences(there.header, self.header)
+        if self.header.provenance.get("code") == UNKNOWN:
+            programs.append("the method's sources are in no file, so they may have changed")
+        if programs and not reuse_any:
+            self.not_reused, self.rows_not_reused = programs, len(there.rows)
+            return
+        self._another_program = bool(programs)
+        self.rows, self._contract = there.rows, there.contract
+        self._size, self._last = there.size, there.last
+
+    def __enter__(self) -> ResultsFile:
+        """Start writing: a new file with its header, or after the last whole line.
+
+        Raises :class:`ResultsError` if another run writes the file, or has since it was read.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._open()
+            if self._size == 0:
+                self._write({"header": asdict(self.header), "format": FORMAT})
+            elif self._another_program:
+                self._write({"program": dict(self.header.provenance)})
+        except BaseException as error:
+            self.__exit__()
+            if isinstance(error, OSError):
+                raise ResultsError(f"{self.path}: cannot be written ({error})") from error
+            raise
+        return self
+
+    def _open(self) -> None:
+        file = self.path.open("ab", buffering=0)
+        self._file = file
+        if not _lock(file):
+            raise ResultsError(
+                f"{self.path}: another run is writing it. Wait until it is through, or name another"
+                " folder"
+            )
+        made = self._stamp is None and os.fstat(file.fileno()).st_size == 0
+        if not made and _stamp(self.path) != self._stamp:
+            raise ResultsError(
+                f"{self.path}: another run has written it since this one began. Run the same"
+                " command again"
+            )
+        if self.not_reused:
+            # nothing is lost: the old rows stay beside the new ones
+            self.path.rename(_free(self.path))
+            file.close()
+            self._file = file = self.path.open("xb", buffering=0)
+            _lock(file)
+        file.truncate(self._size)
+
+    def __exit__(self, *exception: object) -> None:
+        """End writing."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def add(self, row: Row) -> None:
+        """Append a row."""
+        values = asdict(row)
+        del values["sample"], values["category"]
+        self._write({"row": values, "ref": self._refs[row.sample]})
+
+    def add_error(self, sample: str, message: str) -> None:
+        """Append why a sample has no row; a later run tries it again."""
+        self._write({"error": message, "ref": self._refs[sample]})
+
+    def add_contract(self, result: Mapping[str, Any]) -> None:
+        """Append what a check of the contract found, unless that is what an earlier run found."""
+        if self._contract.get(result["check"]) != result:
+            self._write({"contract": result})
+
+    def _write(self, value: Mapping[str, Any]) -> None:
+        if self._file is None:
+            raise RuntimeError(f"{self.path} is not open")
+        text = json.dumps(value, separators=(",", ":")).encode()
+        checksum = checksum_of(self._last, text)
+        rest = checksum + b" " + text + b"\n"
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+            there = self.path.stat()
+        except FileNotFoundError:
+            there = None
+        except OSError as error:
+            raise ResultsError(
+                f"{self.path}: cannot be written ({error}); what it holds is good, so the same"
+                " command goes on from there once it can"
+            ) from error
+        if there is None or not os.path.samestat(there, os.fstat(self._file.fileno())):
+            raise ResultsError(
+                f"{self.path} was removed or replaced while this run was writing it, so its rows"
+                " are lost. Run the same command again"
+            )
+        self._last = checksum
+
+
+def _stamp(path: Path) -> tuple[int, ...] | None:
+    """What changes when somebody writes a file; None if there is none."""
+    try:
+        seen = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise ResultsError(f"{path}: cannot be read ({error})") from error
+    return seen.st_dev, seen.st_ino, seen.st_size, seen.st_mtime_ns
+
+
+def _lock(file: io.FileIO) -> bool:
+    """Keep other runs from writing a file until it is closed; False if another one does.
+
+    Where the system has no such lock, the checksums tell afterwards that two runs wrote at once.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _free(path: Path) -> Path:
+    """A name beside ``path`` that no file has, for what it holds now."""
+    numbered = (path.with_suffix(f".{number}.old") for number in itertools.count(1))
+    return next(name for name in numbered if not name.exists())
