@@ -77,10 +77,14 @@ def resolve(kind: Kind, name: str) -> Any:
 def open_dataset(name: str, data_dir: Path | None) -> Dataset:
     """Make the data set that ``name`` names for :func:`resolve`, in the folder ``data_dir``.
 
-    Raises what :func:`resolve` raises, :class:`pytest_cpas.types.DataError` for what is no data
-    set, and what the data set itself raises, such as :class:`FileNotFoundError`.
+    Raises what :func:`resolve` raises, also for a data set that cannot be made for no reason of its
+    own, :class:`pytest_cpas.types.DataError` for what is no data set, and the data set's own
+    :class:`pytest_cpas.types.ContractError` and :class:`OSError`.
     """
-    from pytest_cpas.types import as_dataset  # numpy, which the plugin starts without
+    from pytest_cpas.types import (  # numpy, which the plugin starts without
+        ContractError,
+        as_dataset,
+    )
 
     make = resolve("dataset", name)
     if not callable(make):
@@ -91,7 +95,16 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
     if inspect.isabstract(make):
         lacks = ", ".join(sorted(make.__abstractmethods__))
         raise RegistryError(f"data set {name!r}: the class {make.__name__} has no {lacks}")
-    return as_dataset(make(data_dir), name)
+    try:
+        made = make(data_dir)
+    except (ContractError, OSError, ImportError):
+        raise
+    except Exception as error:
+        folder = "no folder was given with --cpas-data" if data_dir is None else f"in {data_dir}"
+        raise RegistryError(
+            f"data set {name!r} cannot be opened, {folder} ({type(error).__name__}: {error})"
+        ) from error
+    return as_dataset(made, name)
 
 
 def _owner(entry: EntryPoint) -> str:
@@ -101,7 +114,9 @@ def _owner(entry: EntryPoint) -> str:
 def _load(kind: Kind, name: str, module: str, attribute: str, blame: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)
-    except Exception as error:  # importing foreign code can raise anything
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # importing foreign code can raise anything, and exit or skip
         raise RegistryError(
             f"{KINDS[kind]} {name!r}{blame}: {module}:{attribute} cannot be imported"
             f" ({type(error).__name__}: {error})"

@@ -39,7 +39,8 @@ def fitted_lengths(evidence: Evidence, answers: Estimates) -> list[Mistake]:
                 f"your translations are {factor:.4g} times the true ones (is the depth scale"
                 " right?)",
                 "that factor",
-                f"Hypothesis(rotation, translation / {factor:.4g}, ...), or rather what turns"
+                "Hypothesis(rotation=rotation,"
+                f" translation=translation / {factor:.4g}, ...), or rather what turns"
                 " depth into metres",
                 shifted(lambda t: t / factor),
                 fitted=True,
@@ -96,7 +97,7 @@ def fitted_offsets(evidence: Evidence, answers: Estimates) -> list[Mistake]:
                 f" {np.array2string(share, precision=2, suppress_small=True)} of the extents,"
                 " along ShapeNet's x, y, z",
                 "that offset",
-                f"Hypothesis(rotation, {fix}, ...) for this category",
+                f"Hypothesis(rotation=rotation, translation={fix}, ...) for this category",
                 _moved(evidence, offsets),
                 fitted=True,
             )
@@ -159,7 +160,8 @@ def wrong_boxes(evidence: Evidence) -> list[Mistake]:
                     f"extents-normalised-{name}",
                     f"your extents are divided by {words}, which is always 1",
                     "that length put back (here from the ground truth)",
-                    "Hypothesis(rotation, translation, extents * scale, ...)",
+                    "Hypothesis(rotation=rotation,"
+                    " translation=translation, extents=extents * scale, ...)",
                     _sized(_times(measure(true)[:, None])),
                 )
             ]
@@ -168,7 +170,7 @@ def wrong_boxes(evidence: Evidence) -> list[Mistake]:
             f"extents-{name}",
             f"your extents are {words}",
             "full side lengths in metres",
-            f"Hypothesis(rotation, translation, extents{change}, ...)",
+            f"Hypothesis(rotation=rotation, translation=translation, extents=extents{change}, ...)",
             _sized(lambda e, factor=factor: e * factor),  # type: ignore[misc]
         )
         for name, words, change, factor in (
@@ -183,7 +185,8 @@ def wrong_boxes(evidence: Evidence) -> list[Mistake]:
             f"extents-order-{''.join('xyz'[i] for i in order)}",
             "your extents are in another order than the axes of your rotation",
             "that order",
-            f"Hypothesis(rotation, translation, extents[{list(order)}], ...)",
+            "Hypothesis(rotation=rotation,"
+            f" translation=translation, extents=extents[{list(order)}], ...)",
             _sized(lambda e, order=order: e[:, order]),  # type: ignore[misc]
         )
         for order in itertools.permutations(range(3))

@@ -62,14 +62,14 @@ READINGS = (
         "pose-inverse",
         "your pose is the inverse: it maps camera coordinates to object coordinates",
         "the inverse",
-        "Hypothesis(rotation.T, -rotation.T @ translation, ...)",
+        "Hypothesis(rotation=rotation.T, translation=-rotation.T @ translation, ...)",
         _inverse,
     ),
     Mistake(
         "rotation-transposed",
         "your rotation is transposed (columns taken for rows)",
         "the transpose",
-        "Hypothesis(rotation.T, translation, ...)",
+        "Hypothesis(rotation=rotation.T, translation=translation, ...)",
         _transposed,
     ),
     Mistake(
@@ -119,7 +119,10 @@ def cameras(evidence: Evidence) -> list[Mistake]:
             elif name in ("opencv", "opengl"):
                 fix = f'camera_frame="{name}" in MethodInfo'
             else:
-                fix = f"turn = {code(change)}; Hypothesis(turn @ rotation, turn @ translation, ...)"
+                fix = (
+                    f"turn = {code(change)}; Hypothesis(rotation=turn @ rotation,"
+                    f" translation=turn @ translation, ...)"
+                )
             found.append(
                 Mistake(
                     f"camera-frame-{name}" + (f"-{part}" if part else ""),
@@ -200,7 +203,8 @@ def object_frames(evidence: Evidence) -> list[Mistake]:
                 f"your object frame is not {owners[own]}: your x, y, z point along ShapeNet's"
                 f" {directions}",
                 "that one rotation",
-                f"Hypothesis(rotation @ {code(change)}, translation{sized}, ...)",
+                f"Hypothesis(rotation=rotation @ {code(change)},"
+                f" translation=translation{sized}, ...)",
                 _in_object(change),
                 turn,
             )
@@ -239,7 +243,7 @@ def units() -> list[Mistake]:
             f"unit-{short}",
             f"your translation is in {long}, not in metres",
             "metres",
-            f"Hypothesis(rotation, translation / {divisor}, ...)",
+            f"Hypothesis(rotation=rotation, translation=translation / {divisor}, ...)",
             shifted(lambda t, divisor=divisor: t / divisor),  # type: ignore[misc]
         )
         for short, long, divisor in (

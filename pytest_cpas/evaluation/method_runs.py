@@ -25,6 +25,7 @@ from pytest_cpas.types import (
     Prediction,
     Sample,
     SampleRef,
+    WrappedDataset,
     as_dataset,
     assets_of,
     raised_as,
@@ -83,7 +84,12 @@ class MethodRun(Run):
         self._keeps_shapes = keeps_shapes
         self.under_contract = shared is None
         self.info = method.info
-        self.provenance = {**self.provenance, **program_of(type(method)).facts()}
+        reader = dataset.wrapped if isinstance(dataset, WrappedDataset) else dataset
+        self.provenance = {
+            **self.provenance,
+            **program_of(type(method)).facts(),
+            "data_code": program_of(type(reader)).code,
+        }
         self.quick_truth = dataset.quick_truth
         self.focal = dataset.camera.fx if dataset.camera else None
         self.robustness_point = dataset.point if isinstance(dataset, Perturbed) else None

@@ -156,7 +156,9 @@ def _file_of(name: str) -> Path | None:
         path = list(spec.submodule_search_locations or ())
     if spec is None or not spec.has_location or spec.origin is None:
         return None
-    return Path(spec.origin).resolve()
+    file = Path(spec.origin).resolve()
+    # a module in an archive is as the archive is
+    return next((place for place in (file, *file.parents) if place.is_file()), None)
 
 
 def _imports(tree: ast.Module, module: str, is_package: bool) -> Iterator[str]:
@@ -185,13 +187,14 @@ def _imports(tree: ast.Module, module: str, is_package: bool) -> Iterator[str]:
 
 
 def _named_files(tree: ast.Module, path: Path) -> Iterator[Path]:
-    """The files beside a module that its text names, such as a table of priors."""
+    """The files beside a module, or in folders there, that its text names: a table of priors."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             name = node.value
-            if 2 < len(name) < 100 and "." in name and not set(name) & set('/\\\0\n:*?"<>|'):
+            if 2 < len(name) < 100 and "." in name and not set(name) & set('\\\0\n:*?"<>|'):
                 file = path.parent / name
-                if file.is_file() and file.suffix != ".py":
+                beside = ".." not in file.parts and not Path(name).is_absolute()
+                if beside and file.is_file() and file.suffix != ".py":
                     yield file.resolve()
 
 

@@ -52,7 +52,8 @@ class ResultsFile:
         self.rows_not_reused = 0
         self._contract: Mapping[str, Mapping[str, Any]] = {}
         self._size, self._last = 0, b""
-        self._another_program = False
+        #: Whether ``rows`` are another program's, and are reused on purpose.
+        self.another_program = False
         self._file: io.RawIOBase | None = None
         self._stamp = _stamp(self.path)
         if self._stamp is not None:
@@ -79,7 +80,7 @@ class ResultsFile:
         if programs and not reuse_any:
             self.not_reused, self.rows_not_reused = programs, len(there.rows)
             return
-        self._another_program = bool(programs)
+        self.another_program = bool(programs)
         self.rows, self._contract = there.rows, there.contract
         self._size, self._last = there.size, there.last
 
@@ -93,7 +94,7 @@ class ResultsFile:
             self._open()
             if self._size == 0:
                 self._write({"header": asdict(self.header), "format": FORMAT})
-            elif self._another_program:
+            elif self.another_program:
                 self._write({"program": dict(self.header.provenance)})
         except BaseException as error:
             self.__exit__()

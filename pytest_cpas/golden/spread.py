@@ -154,7 +154,9 @@ class Spread:
 
     def p(self, scope: str, column: int, *, better: bool = False) -> float:
         """How probable anything so improbable is in a whole run without a change."""
-        return min(1.0, self._of_run(self._asked[scope, column, better].p))
+        asked = self._asked.get((scope, column, better))
+        # of a scope of which nothing was judged there is nothing to see
+        return min(1.0, self._of_run(asked.p)) if asked else 1.0
 
     @functools.cached_property
     def _distinct(self) -> list[tuple[str, _Question]]:

@@ -110,7 +110,8 @@ class CollectedRun:
         elif new or not reused:
             parts.append(f"computed {new}")
         if self._file is not None and reused:
-            parts.append(f"reused {reused} from {self._file.path}")
+            of = " of another program" if self._file.another_program else ""
+            parts.append(f"reused {reused}{of} from {self._file.path}")
         if self._file is not None and self._file.rows_not_reused:
             parts.append(
                 f"not reused {self._file.rows_not_reused} of another program"

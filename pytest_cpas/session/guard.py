@@ -235,6 +235,7 @@ class Guard:
             return "no item of the run that was asked for was collected and selected"
         if not sessions or not all(session.verdicts_told for session in sessions):
             return "pytest ended and told no verdict"
+        failed += [run for session in sessions for run in session.failed_runs]
         if failed:
             return f"{failed[0]} failed, and a plugin made that a success"
         return ""

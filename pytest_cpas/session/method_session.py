@@ -119,16 +119,26 @@ class CpasSession(SuiteSession):
         """See which categories are left out as a whole, by --cpas-category or by a selection of
         items: those are not asked for. What a limit or a shard leaves out is."""
         self._selected.update(item.nodeid for item in session.items)
-        for run, collected in self.collected.items():
+        left = {i for i in self._selected if i.startswith(f"{self.node}::test_sample[")}
+        deselected: dict[Run, set[str]] = {}
+        for run in self.runs:
             there, selected = set[str](), set[str]()
             for name, refs in grouped(run.samples, self.options.granularity):
                 categories = {ref.category for ref in refs}
                 there |= categories
-                if f"{self.node}::test_sample[{run.method}-{run.dataset}-{name}]" in self._selected:
+                # as pytest writes what is not ASCII
+                name = name.encode("unicode_escape").decode("ascii")
+                nodeid = f"{self.node}::test_sample[{run.method}-{run.dataset}-{name}]"
+                if nodeid in self._selected:
                     selected |= categories
-            # where no node id is known, pytest has made them otherwise, and they say nothing
-            deselected = there - selected if selected else ()
-            collected.exclude(named=self.options.selection.categories, deselected=deselected)
+                    left.discard(nodeid)
+            deselected[run] = there - selected if selected else set()
+        for run, collected in self.collected.items():
+            # of an item that is none of those known nobody can say what it judges
+            collected.exclude(
+                named=self.options.selection.categories,
+                deselected=() if left else deselected[run],
+            )
 
     def item_content(self, item: pytest.Item) -> Any:
         """The run's index and what the item found; None for items that judge no sample."""
@@ -197,6 +207,11 @@ class CpasSession(SuiteSession):
         except OSError as error:
             message = f"{self.options.report}: the report cannot be written ({error})"
             report_outcome(session, "cpas::report", "failed", message)
+        self.failed_runs = [
+            f"{run['method']} on {run['dataset']}"
+            for run in self._documents
+            if run["outcome"] == "failed"
+        ]
         self.verdicts_told = True
 
     def _judge(self, collected: CollectedRun, failed_items: int) -> JudgedRun:

@@ -35,6 +35,8 @@ class SuiteSession(ABC):
 
     #: Whether all verdicts are told; where items are all there is, they are told with them.
     verdicts_told = True
+    #: What failed by those verdicts, whatever a plugin makes of the reports.
+    failed_runs: Sequence[str] = ()
 
     def __init__(self, config: pytest.Config, module: str, node: str) -> None:
         """Have ``suite/module`` collected under the node id ``node``.

@@ -82,6 +82,11 @@ class WrappedDataset(Dataset):
         self.camera = dataset.camera
         self.quick_truth = dataset.quick_truth
 
+    @property
+    def wrapped(self) -> Dataset:
+        """The data set that this one is made of."""
+        return self._dataset
+
     def load(self, ref: SampleRef) -> Sample:
         """Read one sample."""
         return self._dataset.load(ref)

@@ -130,3 +130,74 @@ def test_images_that_a_method_writes_into_are_its_own(cpas, pytester):
     output = result.stdout.str()
     assert "somebody has written" not in output
     assert "12 of 12 samples judged" in output
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+@pytest.mark.parametrize("name", ["Gefäß", "tasse ☕", "a\\b", "a[b]", "a::b", "mug-can", "é é"])
+def test_category_of_any_name_is_asked_for(cpas, pytester, name, how):
+    """pytest writes node ids its own way; a category that is lost is red whatever it is called."""
+    pytester.makepyfile(
+        named=f"""
+        from tiny import *
+
+        NAME = {name!r}
+
+        def renamed(ref):
+            return replace(ref, category=NAME if ref.category == "mug" else ref.category)
+
+        class Named(Tiny):
+            name = "named"
+
+            def __init__(self, data_dir=None):
+                super().__init__(data_dir)
+                self.samples = [renamed(ref) for ref in self.samples]
+
+            def load(self, ref):
+                real = "mug" if ref.category == NAME else ref.category
+                sample = super().load(replace(ref, category=real))
+                seen = replace(sample.observation, category=ref.category)
+                return replace(sample, ref=ref, observation=seen)
+
+        class Good(Perfect):
+            info = replace(Perfect.info, categories=("bowl", NAME))
+
+        class Loses(Good):
+            def predict(self, batch, seed):
+                if batch and batch[0].category == NAME:
+                    return [Prediction.failed("lost") for _ in batch]
+                return super().predict(batch, seed)
+        """
+    )
+    cpas("Perfect", "--collect-only")  # has tiny copied
+    names = ("--cpas-dataset=named:Named", *GATE)
+    good = ("--cpas-method=named:Good", *names)
+    assert pytester.runpytest_subprocess(*RUN, *good, "--snapshot-update").ret == 0
+    assert pytester.runpytest_subprocess(*RUN, *good, *how).ret == 0
+    lost = pytester.runpytest_subprocess(*RUN, "--cpas-method=named:Loses", *names, *how)
+    assert lost.ret == 1
+    assert f"REGRESSED {name}" in lost.stdout.str()
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_outcomes_that_a_plugin_overwrites_change_nothing(recorded, pytester, how):
+    pytester.makeconftest(
+        """
+        import pytest
+
+        @pytest.hookimpl(wrapper=True, tryfirst=True)
+        def pytest_runtest_logreport(report):
+            report.outcome = "passed"
+            return (yield)
+        """
+    )
+    names = ("--cpas-method=tiny:Biased", "--cpas-dataset=tiny:Tiny", *GATE)
+    assert pytester.runpytest_subprocess(*RUN, *names, *how).ret == 1
+
+
+@pytest.mark.parametrize("selection", [("--cpas-limit=1",), ("-k", "test_contract")], ids=" ".join)
+def test_jitter_without_a_judged_sample_of_a_category(cpas, selection):
+    assert cpas("Wobbles", "--snapshot-update", "--cpas-jitter=5").ret == 0
+    result = cpas("Wobbles", *selection)
+    assert result.ret in (0, 1)
+    assert "INTERNALERROR" not in result.stdout.str() + result.stderr.str()
+    result.stdout.fnmatch_lines(["golden: NOT CHECKED*"])
