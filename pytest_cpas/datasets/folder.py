@@ -87,14 +87,14 @@ class Folder(RecordTree):
         if None in line or None in line.values():
             raise DataError(f"{where}: it has not as many values as there are columns")
         text = {column: (value or "").strip() for column, value in line.items()}
+        if not text["id"] or not text["category"] or text["id"] in ids:
+            raise DataError(f"{where}: id {text['id']!r} is empty or occurs twice, or no category")
         ref = SampleRef(
             id=text["id"],
             category=text["category"],
             scene=text.get("scene", ""),
             model=text.get("model", ""),
         )
-        if not ref.id or not ref.category or ref.id in ids:
-            raise DataError(f"{where}: id {ref.id!r} is empty or occurs twice, or no category")
         ids.add(ref.id)
         record = self._record(text, where)
         for kind in ("rgb", "depth", "mask", "mesh"):

@@ -36,7 +36,8 @@ def judged_run(method: str, dataset: str, correct: int, time: float | None = Non
         )
         for i, ref in enumerate(refs)
     ]
-    run = Fixed(method, dataset, refs, identity={})
+    run = Fixed("m", "d", refs, identity={})
+    run.method, run.dataset = method, dataset  # a stored report can have any
     return run_document(
         run,
         RunTable.of(run, judged),

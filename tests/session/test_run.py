@@ -83,7 +83,7 @@ def test_failed_prediction_is_not_correct(recorded):
 
 @pytest.mark.parametrize(
     ("args", "judged"),
-    [(("--cpas-limit=5",), 5), (("-k", "mug"), 6), (("--cpas-category=mug",), 6)],
+    [(("--cpas-limit=5",), 5), (("-k", "0003 or 0005"), 2), (("--cpas-shard=2/2",), 6)],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
 def test_part_of_the_samples_is_compared_but_not_checked(recorded, args, judged):
@@ -297,6 +297,8 @@ FREE = {
     "--cpas-data",
     "--cpas-weights",
     "--cpas-golden",
+    "--cpas-require-golden=strict",
+    "--cpas-alarm",
     "--cpas-device",
     "--cpas-seed",
 }
@@ -306,7 +308,11 @@ FREE = {
 def alone(request, pytester):
     """An option, with a value if it takes one, beside a test that has nothing to do with it."""
     pytester.makepyfile(test_x="def test_x(): pass")
-    values = {"--cpas-profile": "=robustness", "--cpas-granularity": "=scene"}
+    values = {
+        "--cpas-profile": "=robustness",
+        "--cpas-granularity": "=scene",
+        "--cpas-results-reuse": "=any",
+    }
     plain = ("--cpas-require-golden", "--cpas-allow-gaps")
     option = request.param
     return option, option + values.get(option, "" if option in plain else "=3")
