@@ -159,7 +159,7 @@ def test_done_samples_are_not_judged_again(recorded, pytester):
     reuse = ("--cpas-results=out", "--cpas-results-reuse=any")
     kept = recorded("WrongLength", *reuse, "-k", "test_sample")
     assert kept.ret == 0
-    kept.stdout.fnmatch_lines([f"rows: reused 12 from *{path.name}"])
+    kept.stdout.fnmatch_lines([f"rows: reused 12 of another program from *{path.name}"])
     assert recorded("WrongLength", *reuse).ret == 1  # its contract is looked at
 
 
@@ -347,7 +347,7 @@ def test_rows_are_reused_on_purpose_only(mine):
     assert mine(GOOD, "--cpas-results=out").ret == 0
     broken = mine(BROKEN, "--cpas-results=out", "--cpas-results-reuse=any", "-k", "test_sample")
     assert broken.ret == 0
-    broken.stdout.fnmatch_lines(["rows: reused 12 from *"])
+    broken.stdout.fnmatch_lines(["rows: reused 12 of another program from *"])
 
 
 def test_merged_rows_are_told(mine, pytester):
