@@ -44,34 +44,18 @@ def test_page_holds_the_numbers_of_the_document():
     ]
 
 
+def first_row(**values) -> list[Row]:
+    """Rows of which the first is another one."""
+    return [Row(category="can", iou=0.9, fscore_1cm=0.95, **values), *rows()[1:]]
+
+
 HOSTILE = "<script>alert(1)</script>|`*_[x](y)\n```\n# h"
 
 
 def test_markdown_of_hostile_text():
-    judged = [
-        Row(
-            sample=HOSTILE,
-            category="can",
-            translation_error=0.5,
-            rotation_error=40.0,
-            iou=0.9,
-            fscore_1cm=0.95,
-        ),
-        *rows()[1:],
-    ]
+    judged = first_row(sample=HOSTILE, translation_error=0.5, rotation_error=40.0)
     golden = RunTable.of(
-        a_run(),
-        [
-            Row(
-                sample=HOSTILE,
-                category="can",
-                translation_error=0.001,
-                rotation_error=4.0,
-                iou=0.9,
-                fscore_1cm=0.95,
-            ),
-            *rows()[1:],
-        ],
+        a_run(), first_row(sample=HOSTILE, translation_error=0.001, rotation_error=4.0)
     )
     verdicts = [Verdict(Word.REGRESSED, "can", HOSTILE)]
     text = markdown(a_document(judged, golden, verdicts=verdicts))
@@ -85,30 +69,9 @@ def test_markdown_of_hostile_text():
 def test_page_of_hostile_text():
     """Neither in the page nor in the data of its script does text become markup."""
     hostile = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&amp;"
-    bad = [
-        Row(
-            sample=hostile,
-            category="can",
-            translation_error=0.5,
-            rotation_error=40.0,
-            iou=0.9,
-            fscore_1cm=0.95,
-        ),
-        *rows()[1:],
-    ]
+    bad = first_row(sample=hostile, translation_error=0.5, rotation_error=40.0)
     golden = RunTable.of(
-        a_run(),
-        [
-            Row(
-                sample=hostile,
-                category="can",
-                translation_error=0.001,
-                rotation_error=4.0,
-                iou=0.9,
-                fscore_1cm=0.95,
-            ),
-            *rows()[1:],
-        ],
+        a_run(), first_row(sample=hostile, translation_error=0.001, rotation_error=4.0)
     )
     content = a_document(
         bad, golden, verdicts=[Verdict(Word.REGRESSED, "can", hostile)], errors={"s/00": hostile}
