@@ -201,6 +201,14 @@ def add_options(parser: pytest.Parser) -> None:
         help=argparse.SUPPRESS,
     )
     group.addoption(
+        "--cpas-protocol",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="judge under a protocol: one of --cpas-list, one of your own in pyproject.toml, or a"
+        " .toml file (repeatable; default: ini cpas_protocol, else cpas)",
+    )
+    group.addoption(
         "--cpas-alarm",
         metavar="P",
         help="probability that a run without a change is called REGRESSED or IMPROVED, against a"
@@ -285,6 +293,7 @@ def add_options(parser: pytest.Parser) -> None:
     )
     parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
     parser.addini("cpas_alarm", "the same as --cpas-alarm")
+    parser.addini("cpas_protocol", "the same as --cpas-protocol, one a line", type="linelist")
 
 
 @pytest.hookimpl(tryfirst=True)

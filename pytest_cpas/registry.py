@@ -12,19 +12,21 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from pytest_cpas.types import Dataset
 
-Kind = Literal["method", "dataset", "metric"]
+Kind = Literal["method", "dataset", "metric", "protocol"]
 
 #: What can be registered, in words.
 KINDS: dict[Kind, str] = {
     "method": "method",
     "dataset": "data set",
     "metric": "metric implementation",
+    "protocol": "protocol",
 }
 
 _OWN: dict[Kind, str] = {
     "method": "package.module:Class",
     "dataset": "package.module:Class",
     "metric": "package.module",
+    "protocol": "a .toml file",
 }
 
 

@@ -21,6 +21,7 @@ from pytest_cpas.documents.counts import (
     PublishedMethodDocument,
     PublishedPrecisionDocument,
     PublishedTimeDocument,
+    ScoreDocument,
 )
 from pytest_cpas.documents.runs import (
     CategoryDocument,
@@ -82,6 +83,7 @@ __all__ = [
     "RunDocument",
     "RunName",
     "SampleDocument",
+    "ScoreDocument",
     "SpeedDocument",
     "SpeedVerdictDocument",
     "StageDocument",
@@ -97,7 +99,7 @@ class Document(TypedDict):
     Made by :func:`pytest_cpas.report.document.document`.
     """
 
-    format: Literal[1]
+    format: Literal[2]
     outcome: Annotated[
         ItemOutcome,
         "failed if any test item failed; skipped: a verdict could not be given, and was not"
@@ -106,8 +108,11 @@ class Document(TypedDict):
     failed_items: Annotated[Natural, "Test items of the session that failed, whatever they tested."]
     thresholds: Annotated[
         list[str],
-        Allowed(length=4),
         "Labels of the joint thresholds; a sample's outcome has one character for each.",
+    ]
+    guards: Annotated[
+        list[str],
+        "Labels of the columns that are there to be guarded; their characters come after those.",
     ]
     runs: list[RunDocument]
     published: Annotated[

@@ -37,6 +37,7 @@ class PairDocument(TypedDict):
     only_here: Natural
     only_there: Natural
     precision: list[ChangeDocument]
+    guards: Annotated[list[ChangeDocument], "The same for columns that are there to be guarded."]
     flips: Annotated[list[FlipDocument], "Samples judged otherwise than in the other run."]
 
 

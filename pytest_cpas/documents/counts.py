@@ -39,6 +39,20 @@ class PrecisionDocument(TypedDict):
     published: PublishedCountDocument | None
 
 
+class ScoreDocument(TypedDict):
+    """A category (all: every one) in a column that has a number per sample; null is n/a.
+
+    Made of :class:`pytest_cpas.protocols.Score`.
+    """
+
+    category: str
+    score: Annotated[str, "The label of the column."]
+    measured: float | None
+    golden: float | None
+    samples: Annotated[Natural, "Of how many samples the number is known."]
+    better: Literal["lower", "higher"]
+
+
 class PublishedPrecisionDocument(TypedDict):
     """A category (all: every one) at a joint threshold, by its label."""
 

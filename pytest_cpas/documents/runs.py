@@ -3,12 +3,12 @@
 from typing import Annotated, Literal, TypedDict
 
 from pytest_cpas.documents._allowed import Allowed, Natural, NotNegative, Positive, Share
-from pytest_cpas.documents.counts import CurvesDocument, PrecisionDocument
+from pytest_cpas.documents.counts import CurvesDocument, PrecisionDocument, ScoreDocument
 from pytest_cpas.documents.speed import SpeedDocument
 from pytest_cpas.types import ItemOutcome
 
-#: A character for each joint threshold, in their order.
-_Outcomes = Annotated[str, Allowed(pattern="^[01-]{4}$")]
+#: A character for each of the thresholds and then of the guards, in their order.
+_Outcomes = Annotated[str, Allowed(pattern="^[01-]*$")]
 
 _Direction = Annotated[
     list[Annotated[float, Allowed(minimum=-1.001, maximum=1.001)]], Allowed(length=3)
@@ -26,6 +26,7 @@ class RunConditions(RunName):
     """What decides whether a run can be compared with another one."""
 
     identity: dict[str, str]
+    definitions: dict[str, str]
 
 
 class CategoryDocument(TypedDict):
@@ -99,8 +100,8 @@ class SampleDocument(TypedDict):
     category: str
     outcome: Annotated[
         _Outcomes | None,
-        "Per threshold: 1 correct, 0 not, - n/a; null: the sample could not be judged, error says"
-        " why.",
+        "Per threshold and guard: 1 correct, 0 not, - n/a; null: the sample could not be judged,"
+        " error says why.",
     ]
     golden: Annotated[_Outcomes | None, "The same as recorded; null without a golden table."]
     position_m: NotNegative | None
@@ -108,6 +109,9 @@ class SampleDocument(TypedDict):
     rotation_deg: Annotated[float | None, Allowed(minimum=0, maximum=180.001)]
     iou: Annotated[float | None, Allowed(minimum=0, maximum=1.000001)]
     fscore_1cm: Share | None
+    facts: Annotated[
+        dict[str, float | None], "All that was measured, by name; null is n/a or infinite."
+    ]
     failure: Annotated[str | None, "Why the method gave no answer."]
     error: str | None
 
@@ -161,6 +165,8 @@ class RunDocument(TypedDict):
     findings: Annotated[list[FindingDocument], "Mistakes that explain wrong answers."]
     contract: list[ContractDocument]
     precision: list[PrecisionDocument]
+    guards: Annotated[list[PrecisionDocument], "The same for columns that are there to be guarded."]
+    scores: list[ScoreDocument]
     curves: CurvesDocument
     flips: Annotated[
         list[FlipDocument],
@@ -173,6 +179,9 @@ class RunDocument(TypedDict):
         " times: two runs give the same report but for them.",
     ]
     identity: Annotated[dict[str, str], "What must agree for two runs to be comparable."]
+    definitions: Annotated[
+        dict[str, str], "What each fact means; those of two runs are comparable if they agree."
+    ]
     provenance: Annotated[dict[str, str], "What else is known of the run."]
     up_axes: Annotated[
         UpAxesDocument | None,

@@ -18,22 +18,11 @@ from pytest_cpas.evaluation.results import (
     read_results,
 )
 from pytest_cpas.evaluation.results_file import ResultsFile
-from pytest_cpas.evaluation.rows import (
-    DEFINITIONS,
-    FSCORE_DISTANCE,
-    THRESHOLDS,
-    Row,
-    Table,
-    failed_row,
-    outcomes,
-    precision_table,
-)
+from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 
 __all__ = [
-    "DEFINITIONS",
-    "FSCORE_DISTANCE",
-    "THRESHOLDS",
+    "Answer",
     "Header",
     "MergedRun",
     "MethodError",
@@ -47,18 +36,14 @@ __all__ = [
     "Selection",
     "Shard",
     "StoredRun",
-    "Table",
     "assign_detections",
     "check_answers",
     "decode_estimates",
     "decode_shape",
     "encode_estimate",
     "encode_shape",
-    "failed_row",
     "measure",
     "merge",
-    "outcomes",
-    "precision_table",
     "read_frames",
     "read_results",
 ]

@@ -18,6 +18,7 @@ from pytest_cpas.evaluation.results import (
 )
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError
+from pytest_cpas.protocols import Protocol
 from pytest_cpas.types import DataError, Dataset, GroundTruth, SampleRef, raised_as
 
 __all__ = ["MergedRun", "merge"]
@@ -26,7 +27,9 @@ __all__ = ["MergedRun", "merge"]
 class MergedRun(Run):
     """The results of all shards of a run, judged as one."""
 
-    def __init__(self, parts: Sequence[Results]) -> None:
+    def __init__(
+        self, parts: Sequence[Results], protocols: Sequence[Protocol] | None = None
+    ) -> None:
         """Put results together that :func:`merge` has checked."""
         header = parts[0].header
         self._rows = {sample: row for part in parts for sample, row in part.rows.items()}
@@ -40,7 +43,10 @@ class MergedRun(Run):
             missing=header.missing,
             damaged=header.damaged,
             identity=header.identity,
+            protocols=protocols,
         )
+        # of what the protocols need, the rows have what was measured then
+        self.definitions = dict(header.definitions)
         self.listed = Counter(header.listed)
         self.provenance = header.provenance
         self.seeds = header.seeds
@@ -72,8 +78,15 @@ class MergedRun(Run):
         return self._rows[ref.id]
 
 
-def merge(paths: Sequence[Path], *, allow_gaps: bool = False) -> list[MergedRun]:
+def merge(
+    paths: Sequence[Path],
+    *,
+    allow_gaps: bool = False,
+    protocols: Sequence[Protocol] | None = None,
+) -> list[MergedRun]:
     """The runs whose shards are in ``paths``, one per method and data set.
+
+    They are judged under ``protocols``, where the rows have the facts for that.
 
     Raises :class:`ResultsError` for shards of different runs or conditions, for samples that are
     in two files and, unless ``allow_gaps``, for shards or samples that are in none.
@@ -84,7 +97,7 @@ def merge(paths: Sequence[Path], *, allow_gaps: bool = False) -> list[MergedRun]
         groups.setdefault((results.header.method, results.header.dataset), []).append(results)
     for parts in groups.values():
         _check_shards(parts, allow_gaps)
-    return [MergedRun(parts) for parts in groups.values()]
+    return [MergedRun(parts, protocols) for parts in groups.values()]
 
 
 def _check_shards(parts: Sequence[Results], allow_gaps: bool) -> None:

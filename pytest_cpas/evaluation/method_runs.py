@@ -5,15 +5,16 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
-from pytest_cpas.evaluation.measuring import declared_part, measure
+from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.program import program_of
-from pytest_cpas.evaluation.rows import Row, outcomes
+from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.facts import declared_part
+from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
 from pytest_cpas.types import (
     AnswerError,
     ContractError,
@@ -70,6 +71,7 @@ class MethodRun(Run):
         seeds: int = 1,
         shared: MethodRun | None = None,
         keeps_shapes: bool = False,
+        protocols: Sequence[Protocol] | None = None,
     ) -> None:
         """List the samples whose category the method knows; nothing is loaded yet.
 
@@ -115,6 +117,7 @@ class MethodRun(Run):
                 "device": device,
                 **_weights_identity(method, weights),
             },
+            protocols=protocols,
         )
 
     @property
@@ -155,30 +158,38 @@ class MethodRun(Run):
             method = self.loaded()
         except MethodError as error:
             raise SampleError(f"{where}: {error}") from None
-        row, *repeats = [
-            self._judge(method, ref, sample, self.seed + further, where)
-            for further in range(self.seeds)
-        ]
-        return replace(row, repeats=" ".join(outcomes(repeats))) if repeats else row
+        answers, shapes = zip(
+            *(self._answer(method, sample, self.seed + n, where) for n in range(self.seeds)),
+            strict=True,
+        )
+        return Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
 
-    def _judge(self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str) -> Row:
+    def _answer(
+        self, method: Method, sample: Sample, seed: int, where: str
+    ) -> tuple[Answer, str | None]:
+        """The answer under one seed, and its shape if that is to be kept."""
         try:
-            answers = method.predict([sample.observation.copy()], seed)
+            predictions = method.predict([sample.observation.copy()], seed)
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:
             raise SampleError(f"{where}: the method raised {error!r}") from error
         try:
-            prediction = check_answers(answers, self._method.info)
-            row = measure([ref], [sample.truth], [prediction], self._method.info)[0]
-            if self._keeps_shapes and "0" in outcomes([row])[0] and prediction.hypotheses:
-                shape = to_standard(prediction.hypotheses[0], self._method.info).shape
-                row = replace(row, shape=None if shape is None else encode_shape(shape))
-            return row
+            prediction = check_answers(predictions, self._method.info)
+            [answer] = measure(self.facts, [sample.truth], [prediction], self._method.info)
+            if not self._keeps_shapes or not prediction.hypotheses or self._is_correct(answer):
+                return answer, None
+            shape = to_standard(prediction.hypotheses[0], self._method.info).shape
+            return answer, None if shape is None else encode_shape(shape)
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
+
+    def _is_correct(self, answer: Answer) -> bool:
+        """Whether an answer is correct in every column where that can be judged."""
+        [outcome] = judge_outcomes(count_columns(self.protocols), [answer.facts])
+        return "0" not in outcome
 
 
 def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:

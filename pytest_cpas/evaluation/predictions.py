@@ -18,7 +18,7 @@ import functools
 import hashlib
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.protocols import Protocol
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import (
     CATEGORIES,
@@ -174,7 +175,13 @@ def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Arra
 class StoredRun(Run):
     """Stored predictions, judged like the run of a method."""
 
-    def __init__(self, path: Path, *, selection: Selection | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        selection: Selection | None = None,
+        protocols: Sequence[Protocol] | None = None,
+    ) -> None:
         """Read the file or folder; nothing is judged yet."""
         self._frames: dict[str, Frame] = {}
         digest = hashlib.sha256()
@@ -198,6 +205,7 @@ class StoredRun(Run):
             samples,
             selection=selection,
             identity={"data": digest.hexdigest()},
+            protocols=protocols,
         )
         self.info: MethodInfo = MethodInfo(
             name=self.method,
@@ -231,8 +239,9 @@ class StoredRun(Run):
                 rows[ref.id] = error
         truths = [truth for truth, _ in pairs.values()]
         predictions = [prediction for _, prediction in pairs.values()]
-        for row in measure(list(pairs), truths, predictions, self.info):
-            rows[row.sample] = row
+        answers = measure(self.facts, truths, predictions, self.info)
+        for ref, answer in zip(pairs, answers, strict=True):
+            rows[ref.id] = Row(sample=ref.id, category=ref.category, answers=(answer,))
         return rows
 
     def _pair(self, ref: SampleRef) -> tuple[GroundTruth, Prediction]:

@@ -32,7 +32,7 @@ __all__ = [
     "read_results",
 ]
 
-FORMAT = 5
+FORMAT = 6
 
 #: Characters of a checksum.
 _CHECKSUM = 16
@@ -79,6 +79,7 @@ class Header:
     missing: Sequence[str]
     damaged: Sequence[str]
     identity: Mapping[str, str]
+    definitions: Mapping[str, str]
     provenance: Mapping[str, str]
     seeds: int
     under_contract: bool
@@ -96,6 +97,7 @@ class Header:
             missing=list(run.missing),
             damaged=list(run.damaged),
             identity=dict(run.identity),
+            definitions=dict(run.definitions),
             provenance=dict(run.provenance),
             seeds=run.seeds,
             under_contract=run.under_contract,
@@ -174,7 +176,7 @@ def parse_results(path: Path, content: bytes) -> Results:
                     raise ValueError(f"sample {ref.id} has a row already")
                 refs[ref.id] = ref
                 if "row" in value:
-                    rows[ref.id] = Row(sample=ref.id, category=ref.category, **value["row"])
+                    rows[ref.id] = Row.of({**value["row"], "sample": name, "category": category})
                     errors.pop(ref.id, None)
                 else:
                     errors[ref.id] = value["error"]

@@ -133,7 +133,7 @@ class ResultsFile:
 
     def add(self, row: Row) -> None:
         """Append a row."""
-        values = asdict(row)
+        values = row.plain()
         del values["sample"], values["category"]
         self._write({"row": values, "ref": self._refs[row.sample]})
 

@@ -1,129 +1,64 @@
-"""Rows, one per sample, and the table that they give."""
+"""Rows, one per sample: what is known of the answers under all seeds, never a judgement."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
-from pytest_cpas.metrics.definitions import definition
-from pytest_cpas.metrics.precision import FAILED, PAPER_THRESHOLDS, Count, Errors, JointThreshold
-from pytest_cpas.metrics.surfaces import SAMPLE_COUNT
-from pytest_cpas.types import SampleRef
-from pytest_cpas.types.samples import ALL
+from pytest_cpas.facts import Facts
 
-__all__ = [
-    "DEFINITIONS",
-    "FSCORE_DISTANCE",
-    "THRESHOLDS",
-    "Row",
-    "Table",
-    "failed_row",
-    "outcomes",
-    "precision_table",
-]
+__all__ = ["Answer", "Row"]
 
 
-#: The distance of the paper's F-score, metres.
-FSCORE_DISTANCE = 0.01
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """The facts of the answer for one sample under one seed.
 
-#: The thresholds of the precision table.
-THRESHOLDS: tuple[JointThreshold, ...] = PAPER_THRESHOLDS
+    ``facts`` by name, None is n/a. A failed prediction has its reason in ``failure``, and facts
+    that meet no limit. ``estimate``: the answer itself, as of
+    :func:`~pytest_cpas.evaluation.encode_estimate`.
+    """
 
-#: Under which definitions a row's errors are measured.
-DEFINITIONS = {
-    "translation_error": definition("translation_error", "euclidean").id(),
-    "rotation_error": definition("rotation_error", "symmetry-group").id(),
-    "iou": definition("iou", "oriented-symmetric").id(),
-    "fscore_1cm": definition("fscore", "strict").id(
-        delta_m=FSCORE_DISTANCE, frame="camera", points=SAMPLE_COUNT
-    ),
-}
+    facts: Facts
+    failure: str | None = None
+    estimate: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """The errors of one sample.
+    """The answers for one sample, one per seed; the first is that of the run's own seed.
 
-    ``translation_error`` in metres, ``rotation_error`` in degrees. ``iou``, ``fscore_1cm``: None
-    is n/a (the method gives no extents or shape, or the data set has none). A failed prediction
-    has its reason in ``failure`` and the errors of :data:`pytest_cpas.metrics.precision.FAILED`.
-    ``estimate``: the answer itself, as of :func:`~pytest_cpas.evaluation.encode_estimate`.
-    ``repeats``: the outcomes (see :func:`outcomes`) under further seeds, separated by spaces.
-    ``shape``: the estimated shape for a picture, as of
+    ``shape``: the first one's shape for a picture, as of
     :func:`~pytest_cpas.evaluation.encode_shape`.
     """
 
     sample: str
     category: str
-    translation_error: float
-    rotation_error: float
-    iou: float | None
-    fscore_1cm: float | None
-    failure: str | None = None
-    estimate: str | None = None
-    repeats: str = ""
+    answers: tuple[Answer, ...]
     shape: str | None = None
 
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Row:
+        """From the plain values of :meth:`plain`."""
+        answers = tuple(Answer(**answer) for answer in values["answers"])
+        return cls(**{**values, "answers": answers})
 
-#: The field of a row for each of :data:`pytest_cpas.metrics.precision.METRICS`.
-_FIELDS = {
-    "rotation_deg": "rotation_error",
-    "position_m": "translation_error",
-    "iou": "iou",
-    "fscore": "fscore_1cm",
-}
+    def plain(self) -> dict[str, Any]:
+        """As values of JSON, but for infinite facts."""
+        return asdict(self)
 
+    @property
+    def facts(self) -> Facts:
+        """Those of the first answer."""
+        return self.answers[0].facts
 
-def outcomes(rows: Sequence[Row]) -> list[str]:
-    """Per row one character for each of :data:`THRESHOLDS`: correct 1, not 0, n/a -."""
-    errors = Errors(
-        {metric: [getattr(row, field) for row in rows] for metric, field in _FIELDS.items()}
-    )
-    columns = []
-    for threshold in THRESHOLDS:
-        judged = errors.judge(threshold)
-        if judged is None:
-            columns.append(["-"] * len(rows))
-            continue
-        columns.append(
-            [
-                "-" if not known else "1" if correct else "0"
-                for correct, known in zip(*judged, strict=True)
-            ]
-        )
-    # a few different ones only, however many rows: one object each
-    return [sys.intern("".join(characters)) for characters in zip(*columns, strict=True)]
+    @property
+    def failure(self) -> str | None:
+        """Why the first answer is none."""
+        return self.answers[0].failure
 
-
-#: Counts per category (and "all") and threshold label; None where every sample is n/a.
-Table = dict[str, dict[str, Count | None]]
-
-
-def precision_table(judged: Iterable[tuple[str, str]]) -> Table:
-    """The table of samples given as (category, outcome)."""
-    groups: dict[str, list[str]] = {}
-    for category, outcome in judged:
-        groups.setdefault(ALL, []).append(outcome)
-        groups.setdefault(category, []).append(outcome)
-    table: Table = {}
-    for category, members in sorted(groups.items()):
-        table[category] = {}
-        for index, threshold in enumerate(THRESHOLDS):
-            column = [outcome[index] for outcome in members if outcome[index] != "-"]
-            cell = Count(column.count("1"), len(column)) if column else None
-            table[category][threshold.label] = cell
-    return table
-
-
-def failed_row(ref: SampleRef, reason: str | None, box: bool, shape: bool) -> Row:
-    """The row of a sample without an answer: correct under no threshold."""
-    return Row(
-        sample=ref.id,
-        category=ref.category,
-        translation_error=FAILED["position_m"],
-        rotation_error=FAILED["rotation_deg"],
-        iou=FAILED["iou"] if box else None,
-        fscore_1cm=FAILED["fscore"] if shape else None,
-        failure=reason,
-    )
+    @property
+    def estimate(self) -> str | None:
+        """The first answer itself."""
+        return self.answers[0].estimate

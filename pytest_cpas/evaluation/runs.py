@@ -12,12 +12,18 @@ import numpy as np
 import scipy
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
-from pytest_cpas.evaluation.rows import DEFINITIONS, Row
+from pytest_cpas.evaluation.rows import Row
+from pytest_cpas.facts import fact, in_order
+from pytest_cpas.protocols import PAPER, Protocol, facts_of, shipped_protocol
 from pytest_cpas.types import GroundTruth, MethodInfo, SampleRef
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
 
 __all__ = ["Run", "SampleError", "Selection"]
+
+
+#: Facts that every run measures: what is said of a sample in words.
+_POSE = ("position_m", "rotation_deg")
 
 
 class SampleError(Exception):
@@ -51,6 +57,8 @@ class Run(ABC):
     ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
     ``robustness_point``: which point of the curves of a robustness profile it is, None for none.
     ``under_contract``: it is a method's first run, which has the checks of the contract.
+    ``protocols``: what it is judged under; ``facts``: the names of what is measured for them, and
+    of the pose's errors in any case; ``definitions``: the id of what each of those means.
     """
 
     seeds = 1
@@ -77,14 +85,21 @@ class Run(ABC):
         missing: Sequence[str] = (),
         damaged: Sequence[str] = (),
         identity: Mapping[str, str],
+        protocols: Sequence[Protocol] | None = None,
     ) -> None:
-        """List ``samples``, and select some of them (all if ``selection`` is None)."""
+        """List ``samples``, and select some of them (all if ``selection`` is None).
+
+        ``protocols``: the paper's if None.
+        """
         self.method = checked_name("method", method)
         self.dataset = checked_name("data set", dataset)
         self.listed = Counter(sample.category for sample in samples)
         self.samples = (selection or Selection()).of(samples)
         self.missing, self.damaged = missing, damaged
-        self.identity: Mapping[str, str] = {**DEFINITIONS, **identity}
+        self.identity: Mapping[str, str] = identity
+        self.protocols = (shipped_protocol(PAPER),) if protocols is None else tuple(protocols)
+        self.facts = tuple(in_order((*_POSE, *facts_of(self.protocols))))
+        self.definitions = {name: fact(name).definition for name in self.facts}
 
     @abstractmethod
     def judge(self, ref: SampleRef) -> Row:

@@ -10,6 +10,7 @@ the counts are checked against them on reading. What a table says about a run is
 from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.files import find_golden, orphans, read_golden, record, shipped_golden
 from pytest_cpas.golden.jitter import recorded_words
+from pytest_cpas.golden.pairing import SharedColumn, shared_columns
 from pytest_cpas.golden.published import (
     PublishedCell,
     compare_published,
@@ -23,13 +24,13 @@ from pytest_cpas.golden.published import (
 )
 from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import (
-    FORMAT,
     GoldenError,
     RunTable,
     TableSample,
+    describe,
     differences,
-    parse_golden,
 )
+from pytest_cpas.golden.texts import FORMAT
 from pytest_cpas.types import Verdict
 
 __all__ = [
@@ -38,16 +39,17 @@ __all__ = [
     "GoldenError",
     "PublishedCell",
     "RunTable",
+    "SharedColumn",
     "TableSample",
     "Verdict",
     "Word",
     "compare",
     "compare_published",
     "count_problems",
+    "describe",
     "differences",
     "find_golden",
     "orphans",
-    "parse_golden",
     "published_cells",
     "published_curves",
     "published_datasets",
@@ -57,5 +59,6 @@ __all__ = [
     "read_golden",
     "record",
     "recorded_words",
+    "shared_columns",
     "shipped_golden",
 ]

@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.golden.jitter import answers_of, loss_words, luckiest
-from pytest_cpas.golden.pairing import Pairing
+from pytest_cpas.golden.pairing import Pairing, SharedColumn, shared_columns
 from pytest_cpas.golden.spread import ALARM, DOUBT, Spread
 from pytest_cpas.golden.tables import RunTable, differences
 from pytest_cpas.types import Verdict, VerdictWord
-from pytest_cpas.types.samples import ALL
+from pytest_cpas.types.samples import ALL, COMPLETENESS
 
 #: With this probability a part of the samples shows a change of the size that it states.
 CONFIDENCE = 0.95
@@ -109,31 +108,73 @@ def compare(
     categories = sorted({*golden.listed, *new.listed})
     if not categories:
         return [Verdict(Word.NOT_CHECKED, ALL, "no category was asked for")]
+    columns = shared_columns(golden, new)
     pairings = [Pairing.of(golden, new, category) for category in categories]
     # a commit changes often, and the digest of the code tells whether that means anything
     told = {key: fact for key, fact in golden.provenance.items() if key != "revision"}
     now = {key: fact for key, fact in new.provenance.items() if key in told}
     notes = [f"note: {line}" for line in differences(told, now)]
-    if not any(sample.repeats for sample in golden.samples.values()):
+    if golden.outdated:
+        notes.append(
+            "note: the golden table has the form of version 1, which knows less; record it anew"
+            " with --snapshot-update"
+        )
+    others = _other_columns(golden, new, columns)
+    if not any(sample.wavers for sample in golden.samples.values()):
         seeds = golden.seeds, new.seeds
-        return [_exact_verdict(pairing, seeds, notes) for pairing in pairings]
+        exact = [_exact_verdict(pairing, columns, seeds, notes) for pairing in pairings]
+        return [*exact, *others]
     pairings.append(Pairing.of(golden, new, None))
-    judge = _Spread(golden.seeds, Spread(answers_of(golden, new)), alarm, notes)
+    answers = answers_of(golden, new, columns)
+    judge = _Spread(golden.seeds, columns, Spread(answers), alarm, notes)
     verdicts = [judge.verdict(pairing) for pairing in pairings]
-    if any(verdict.word is not Word.CANNOT_TELL for verdict in verdicts):
-        return verdicts
-    return [replace(verdict, word=Word.NOT_CHECKED) for verdict in verdicts]
+    if all(verdict.word is Word.CANNOT_TELL for verdict in verdicts):
+        verdicts = [replace(verdict, word=Word.NOT_CHECKED) for verdict in verdicts]
+    return [*verdicts, *others]
 
 
-def _exact_verdict(pairing: Pairing, seeds: tuple[int, int], notes: Sequence[str]) -> Verdict:
+def _other_columns(
+    golden: RunTable, new: RunTable, shared: Sequence[SharedColumn]
+) -> list[Verdict]:
+    """Columns of one table that cannot be judged against the other: what was redefined is stale,
+    what only one has is not checked."""
+    same = {column.column.key for column in shared}
+    old, now = ([c.key for c in table.columns if c.key not in same] for table in (golden, new))
+    verdicts = []
+    if stale := [key for key in old if key in now]:
+        told = (
+            f"{', '.join(stale)}: defined otherwise when the golden table was recorded. Record it"
+            " anew with --snapshot-update"
+        )
+        verdicts.append(Verdict(Word.STALE, ALL, told))
+    then, here = ([protocol.name for protocol in table.protocols] for table in (golden, new))
+    if lacking := [name for name in then if name not in here]:
+        told = (
+            f"the golden table has columns of {', '.join(lacking)}, which this run was not judged"
+            f" under: pass {' '.join(f'--cpas-protocol {n}' for n in [*here, *lacking])}"
+        )
+        verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
+    if added := [name for name in here if name not in then]:
+        told = (
+            f"the golden table has no columns of {', '.join(added)}; if these results are right,"
+            " record it anew with --snapshot-update"
+        )
+        verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
+    return verdicts
+
+
+def _exact_verdict(
+    pairing: Pairing,
+    columns: Sequence[SharedColumn],
+    seeds: tuple[int, int],
+    notes: Sequence[str],
+) -> Verdict:
     """Where no flip is allowed; ``seeds``: of the golden table, of the run."""
-    changes = [
-        (flips, index) for index in range(len(THRESHOLDS)) if (flips := pairing.flips(index))
-    ]
+    changes = [(flips, column) for column in columns if (flips := pairing.flips(column))]
     changes.sort(key=lambda change: change[0].net)  # what fell most stands first
-    lines = [line for flips, index in changes for line in pairing.told(index, flips)]
+    lines = [line for flips, column in changes for line in pairing.told(column, flips)]
     lines += pairing.other_samples
-    if wavering := [name for name in pairing.both if pairing.new[name].repeats]:
+    if wavering := [name for name in pairing.both if pairing.new[name].wavers]:
         lines.append(
             f"the {seeds[1]} seeds of this run disagree in {len(wavering)} samples, first"
             f" {wavering[0]}; the golden table has {seeds[0]}, without disagreement"
@@ -153,6 +194,7 @@ class _Spread:
     """Where the flips may be those of another seed."""
 
     seeds: int
+    columns: Sequence[SharedColumn]
     spread: Spread
     alarm: float
     notes: Sequence[str]
@@ -163,18 +205,18 @@ class _Spread:
         told: dict[Word, list[str]] = {
             word: [] for word in (Word.REGRESSED, Word.CHANGED, Word.PROBABLY_WORSE, Word.IMPROVED)
         }
-        for index in range(len(THRESHOLDS)):
-            flips = pairing.flips(index)
+        for index, column in enumerate(self.columns):
+            flips = pairing.flips(column)
             if flips.not_applicable:
-                told[Word.CHANGED] += pairing.told(index, flips)
+                told[Word.CHANGED] += pairing.told(column, flips)
             worse = self.spread.p(scope, index)
             better = self.spread.p(scope, index, better=True)
             if worse < max(DOUBT, self.alarm):
                 word = Word.REGRESSED if worse < self.alarm else Word.PROBABLY_WORSE
-                told[word] += pairing.told(index, flips, f" ({self._seen(scope, index, worse)})")
+                told[word] += pairing.told(column, flips, f" ({self._seen(scope, index, worse)})")
             elif better < self.alarm:
                 remark = f" ({self._seen(scope, index, better)})"
-                told[Word.IMPROVED] += pairing.told(index, flips, remark)
+                told[Word.IMPROVED] += pairing.told(column, flips, remark)
         told[Word.CHANGED] += pairing.other_samples
         lines = [line for group in told.values() for line in group]
         words = [word for word, group in told.items() if group]
@@ -212,19 +254,19 @@ class _Spread:
         )
         if not judged:
             return Verdict(word, scope, words)
-        indices = range(len(THRESHOLDS))
+        indices = range(len(self.columns))
         p, index = min((self.spread.p(scope, index), index) for index in indices)
         recorded, run = self.spread.answers.of(scope, index)
         words += (
             f", nothing improbable beside the {self.seeds} recorded seeds (at"
-            f" {THRESHOLDS[index].label} {_from_to(run)} correct, recorded {_from_to(recorded)};"
+            f" {self.columns[index].label} {_from_to(run)} correct, recorded {_from_to(recorded)};"
             f" p = {p:.1g})"
         )
         for index in indices:
             if (better := self.spread.p(scope, index, better=True)) < DOUBT:
                 seen = self._seen(scope, index, better)
-                words += f"; probably better at {THRESHOLDS[index].label} ({seen})"
-        loss = loss_words(self._lucky, scope, self.alarm)
+                words += f"; probably better at {self.columns[index].label} ({seen})"
+        loss = loss_words(self._lucky, self.columns, scope, self.alarm)
         if not loss and word is Word.MATCHES:
             word = Word.CANNOT_TELL
         words += f"; {loss or f'not even the loss of all would be improbable: {_MORE_SEEDS}'}"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import re
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -12,15 +10,21 @@ from pathlib import Path
 import filelock
 
 from pytest_cpas._files import cache_folder, sync_folder, write_through
-from pytest_cpas.golden.tables import GoldenError, RunTable, parse_golden, parse_samples
+from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
+from pytest_cpas.golden.tables import GoldenError, RunTable
+from pytest_cpas.golden.texts import (
+    FACTS,
+    RUN,
+    parse_table,
+    protocol_file,
+    protocol_names,
+    table_texts,
+)
 from pytest_cpas.types import ContractError
 from pytest_cpas.types.names import checked_name
 
 __all__ = ["find_golden", "is_recorded", "orphans", "read_golden", "record", "shipped_golden"]
 
-
-#: The two files of a table.
-_TABLE, _SAMPLES = "table.toml", "samples.csv"
 
 #: How the name of a file ends that is not complete.
 _PART = ".part"
@@ -55,7 +59,7 @@ def find_golden(golden: Path, method: str, dataset: str) -> RunTable | None:
 def is_recorded(folder: Path) -> bool:
     """Whether a folder holds a golden table, sound or not: a first update that was killed before
     it had written one leaves none."""
-    return any((folder / name).exists() for name in (_TABLE, _SAMPLES))
+    return any((folder / name).exists() for name in (RUN, FACTS, OLDER_TABLE, OLDER_SAMPLES))
 
 
 def record(golden: Path, table: RunTable) -> Path:
@@ -83,7 +87,9 @@ def record(golden: Path, table: RunTable) -> Path:
 
 def orphans(golden: Path, methods: set[str]) -> list[Path]:
     """The folders of recorded tables below ``golden`` whose method is none of ``methods``."""
-    folders = sorted(path.parent for path in golden.glob("recorded/*/*/table.toml"))
+    folders = sorted(
+        {path.parent for name in (RUN, OLDER_TABLE) for path in golden.glob(f"recorded/*/*/{name}")}
+    )
     return [folder for folder in folders if folder.parent.name not in methods]
 
 
@@ -113,29 +119,32 @@ def _exclusive(folder: Path, patience: float) -> filelock.BaseFileLock:
 
 
 def _write(folder: Path, table: RunTable) -> None:
-    """Replace both files. Under the lock of the folder, and settled.
+    """Replace all files of a table. Under the lock of the folder, and settled.
 
-    Both are complete on the disk, and have been read back, before either is replaced. Replacing
-    the table commits: from then on :func:`_read` takes the samples that it names from the file that
-    is still waiting, should the writer die before that has got its place.
+    All are complete on the disk, and have been read back, before any is replaced. They wait under
+    names that hold the digest of ``run.toml``; replacing that one commits. From then on
+    :func:`_read` takes the others from where they are still waiting, should the writer die before
+    they have got their places.
     """
-    samples = table.samples_csv().encode()
-    cells = table.table_toml(samples.decode()).encode()
-    digest = hashlib.sha256(samples).hexdigest()
+    texts = {name: text.encode() for name, text in table_texts(table).items()}
+    run = texts.pop(RUN)
+    digest = hashlib.sha256(run).hexdigest()
     _make(folder)
     attributes = folder.parents[2] / ".gitattributes"
+    unfinished = folder / f".run{_PART}"
     try:
         if not attributes.exists():
             write_through(folder / f".attributes{_PART}", _ATTRIBUTES)
             (folder / f".attributes{_PART}").replace(attributes)
             sync_folder(attributes.parent)
-        if _file_digest(folder / _SAMPLES) != digest:
-            write_through(folder / f".samples{_PART}", samples)
-            (folder / f".samples{_PART}").replace(_waiting(folder, digest))
-        write_through(folder / f".table{_PART}", cells)
-        _check_readable(folder, digest, table)
+        for name, text in texts.items():
+            if _content(folder / name) != text:
+                write_through(folder / f".file{_PART}", text)
+                (folder / f".file{_PART}").replace(_waiting(folder, digest, name))
+        write_through(unfinished, run)
+        _check_readable(folder, unfinished, table)
         sync_folder(folder)
-        (folder / f".table{_PART}").replace(folder / _TABLE)
+        unfinished.replace(folder / RUN)
         sync_folder(folder)
     except BaseException:
         _settle(folder)
@@ -143,15 +152,13 @@ def _write(folder: Path, table: RunTable) -> None:
     _settle(folder)
 
 
-def _check_readable(folder: Path, digest: str, table: RunTable) -> None:
+def _check_readable(folder: Path, run: Path, table: RunTable) -> None:
     """Read what is about to replace the old table; :class:`GoldenError` unless it is ``table``."""
-    waiting = _waiting(folder, digest)
-    samples = waiting if waiting.exists() else folder / _SAMPLES
     try:
-        again = _read_files(folder, folder / f".table{_PART}", samples)
+        again = _read_files(folder, run.read_bytes())
     except (OSError, UnicodeDecodeError, GoldenError) as error:
         raise GoldenError(f"what would be recorded cannot be read back ({error})") from error
-    if again.samples_csv() != table.samples_csv() or again.table != table.table:
+    if table_texts(again) != table_texts(table) or again.samples != table.samples:
         raise GoldenError("what would be recorded is not what is read back")
 
 
@@ -164,18 +171,21 @@ def _make(folder: Path) -> None:
 
 
 def _settle(folder: Path) -> None:
-    """Finish what an update that was killed left: samples that a table waits for get their place,
+    """Finish what an update that was killed left: files that a table waits for get their places,
     what no table names goes. Under the lock of the folder."""
     leftovers = _leftovers(folder)
     if not leftovers:
         return
-    waiting = _waiting(folder, _named_digest(folder))
-    if waiting in leftovers and _file_digest(folder / _SAMPLES) != _named_digest(folder):
-        waiting.replace(folder / _SAMPLES)
-        leftovers.remove(waiting)
+    digest = _digest(folder / RUN)
+    own = _waiting(folder, digest, "").name
+    waiting = [path for path in leftovers if digest and path.name.startswith(own)]
+    for path in waiting:
+        path.replace(folder / path.name.removeprefix(own))
+    if waiting:
         sync_folder(folder)
     for path in leftovers:
-        path.unlink(missing_ok=True)
+        if path not in waiting:
+            path.unlink(missing_ok=True)
 
 
 def _tidy(folder: Path) -> None:
@@ -187,19 +197,26 @@ def _tidy(folder: Path) -> None:
 
 
 def _leftovers(folder: Path) -> list[Path]:
-    return [*folder.glob(_waiting(folder, "*").name), *folder.glob(f".*{_PART}")]
+    """Files that are not where they belong: unfinished, waiting, or of an older form that a newer
+    table has replaced."""
+    older = [folder / name for name in (OLDER_TABLE, OLDER_SAMPLES)]
+    return [
+        *folder.glob(_waiting(folder, "*", "*").name),
+        *folder.glob(f".*{_PART}"),
+        *(path for path in older if (folder / RUN).exists() and path.exists()),
+    ]
 
 
-def _waiting(folder: Path, digest: str) -> Path:
-    """Samples, complete, that wait for the table that names them to be in its place."""
-    return folder / f".samples-{digest}.csv"
+def _waiting(folder: Path, digest: str, name: str) -> Path:
+    """A file, complete, that waits for the ``run.toml`` of a digest to be in its place."""
+    return folder / f".waiting-{digest}-{name}"
 
 
 # -- reading ------------------------------------------------------------------------------------
 
 
 def read_golden(folder: Path) -> RunTable:
-    """Read ``table.toml`` and ``samples.csv`` and check them against each other.
+    """Read the files of a table and check them against each other.
 
     Raises :class:`GoldenError` that names the file.
     """
@@ -207,7 +224,7 @@ def read_golden(folder: Path) -> RunTable:
     try:
         return _read(folder)
     except (OSError, ValueError, GoldenError):
-        pass  # a writer may have come between the two files
+        pass  # a writer may have come between the files
     try:
         with _exclusive(folder, _PATIENCE):
             return _read_told(folder)
@@ -227,41 +244,40 @@ def _read_told(folder: Path) -> RunTable:
 
 
 def _read(folder: Path) -> RunTable:
-    """The samples are those that the table names: in their place, or waiting for it."""
-    digest = _named_digest(folder)
-    waiting = _waiting(folder, digest)
-    if waiting.exists() and _file_digest(folder / _SAMPLES) != digest:
-        return _read_files(folder, folder / _TABLE, waiting)
-    return _read_files(folder, folder / _TABLE, folder / _SAMPLES)
+    if not (folder / RUN).exists() and (folder / OLDER_TABLE).exists():
+        older = (_text(_bytes(folder / name)) for name in (OLDER_TABLE, OLDER_SAMPLES))
+        return parse_older(folder.parent.name, folder.name, *older)
+    return _read_files(folder, _bytes(folder / RUN))
 
 
-def _read_files(folder: Path, table: Path, samples: Path) -> RunTable:
-    text = table.read_bytes().decode("utf-8")
-    digest = _file_digest(samples)
-    names = folder.parent.name, folder.name
-    if digest != _named(text) and b"\r\n" in (content := samples.read_bytes()):
-        # checked out with the line ends of Windows; what is recorded has no \r of its own
-        return parse_golden(*names, text, content.replace(b"\r\n", b"\n").decode("utf-8"))
-    with samples.open("rb") as samples_csv:  # which can be large
-        lines = io.TextIOWrapper(samples_csv, encoding="utf-8", newline="")
-        return parse_samples(*names, text, lines, digest)
+def _read_files(folder: Path, run: bytes) -> RunTable:
+    """The files are those that wait for this ``run.toml``, else those in their places."""
+    digest = hashlib.sha256(run).hexdigest()
+    texts = {RUN: _text(run)}
+    for name in (FACTS, *map(protocol_file, protocol_names(texts[RUN]))):
+        waiting = _waiting(folder, digest, name)
+        texts[name] = _text(_bytes(waiting if waiting.exists() else folder / name))
+    return parse_table(folder.parent.name, folder.name, texts)
 
 
-def _named_digest(folder: Path) -> str:
-    """The digest of the samples that the table of a folder names, or "" without a table."""
-    path = folder / _TABLE
-    return _named(path.read_text(encoding="utf-8", errors="replace")) if path.exists() else ""
+def _text(content: bytes) -> str:
+    """Text that may have been checked out with the line ends of Windows; what is recorded has no
+    carriage return of its own."""
+    return content.decode("utf-8").replace("\r\n", "\n")
 
 
-def _named(table_toml: str) -> str:
-    named = re.search(r'^samples_sha256 = "(\w+)"\r?$', table_toml, re.MULTILINE)
-    return named[1] if named else ""
-
-
-def _file_digest(path: Path) -> str:
-    """The SHA-256 of a file; "" if there is none."""
+def _bytes(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except FileNotFoundError:
-        return ""
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise GoldenError(f"{path.name} is missing") from error
+
+
+def _content(path: Path) -> bytes | None:
+    return path.read_bytes() if path.exists() else None
+
+
+def _digest(path: Path) -> str:
+    """The SHA-256 of a file; "" if there is none."""
+    content = _content(path)
+    return "" if content is None else hashlib.sha256(content).hexdigest()

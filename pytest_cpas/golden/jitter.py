@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.golden.pairing import SharedColumn, shared_columns
 from pytest_cpas.golden.spread import DOUBT, Answers, Spread
-from pytest_cpas.golden.tables import RunTable, TableSample
+from pytest_cpas.golden.tables import RunTable
 
 #: How many times the recorded seeds is told what they could show, and up to how many.
 _MORE, _MOST = (2, 4, 8), 40
@@ -34,14 +34,15 @@ def parse_alarm(text: str) -> float:
     return alarm
 
 
-def answers_of(golden: RunTable, run: RunTable) -> Answers:
-    """The samples that both tables have, under all seeds of both."""
+def answers_of(golden: RunTable, run: RunTable, columns: Sequence[SharedColumn]) -> Answers:
+    """The samples that both tables have, under all seeds of both, at some columns."""
     both = [
         name
         for name, sample in sorted(run.samples.items())
         if name in golden.samples and golden.samples[name].category == sample.category
     ]
-    recorded, new = (_outcomes(table, both) for table in (golden, run))
+    recorded = _outcomes(golden, both)[..., [column.old for column in columns]]
+    new = _outcomes(run, both)[..., [column.new for column in columns]]
     return Answers(
         categories=np.array([golden.samples[name].category for name in both], dtype=str),
         recorded=recorded == b"1",
@@ -51,20 +52,15 @@ def answers_of(golden: RunTable, run: RunTable) -> Answers:
 
 
 def _outcomes(table: RunTable, names: list[str]) -> NDArray[np.bytes_]:
-    """One character per sample, seed and threshold."""
-
-    def told(sample: TableSample) -> str:
-        further = sample.repeats or (sample.outcome,) * (table.seeds - 1)
-        return sample.outcome + "".join(further)
-
-    text = "".join(told(table.samples[name]) for name in names)
-    return np.frombuffer(text.encode(), "S1").reshape(len(names), table.seeds, len(THRESHOLDS))
+    """One character per sample, seed and column."""
+    text = "".join(outcome for name in names for outcome in table.samples[name].outcomes)
+    return np.frombuffer(text.encode(), "S1").reshape(len(names), table.seeds, len(table.columns))
 
 
-def loss_words(lucky: Spread, scope: str, alarm: float) -> str:
+def loss_words(lucky: Spread, columns: Sequence[SharedColumn], scope: str, alarm: float) -> str:
     """Which loss of samples of a category, or of all, would be called; "" if none would.
 
-    ``lucky``: as of :func:`luckiest`.
+    ``lucky``: as of :func:`luckiest`; ``columns``: those of its answers.
     """
     levels = {"REGRESSED": alarm, "PROBABLY WORSE": max(DOUBT, alarm)}
     shown = {word: lucky.loss_shown(scope, level) for word, level in levels.items()}
@@ -72,7 +68,7 @@ def loss_words(lucky: Spread, scope: str, alarm: float) -> str:
     if not called:
         return ""
     (word, loss, column), *rest = called
-    first = f"a loss of {loss} at {THRESHOLDS[column].label} would be {word}"
+    first = f"a loss of {loss} at {columns[column].label} would be {word}"
     return ", of ".join([first, *(f"{loss} {word}" for word, loss, _ in rest)])
 
 
@@ -87,15 +83,18 @@ def recorded_words(table: RunTable, alarm: float) -> Iterator[str]:
     """Lines on what a recorded table can show, and how many seeds would show more."""
     if table.seeds == 1:
         return
-    if not any(sample.repeats for sample in table.samples.values()):
+    if not any(sample.wavers for sample in table.samples.values()):
         yield f"the {table.seeds} seeds agree in every sample: later runs may lose none"
         return
     first = replace(
         table,
-        samples={name: replace(sample, repeats=()) for name, sample in table.samples.items()},
+        samples={
+            name: replace(sample, outcomes=sample.outcomes[:1], answers=sample.answers[:1])
+            for name, sample in table.samples.items()
+        },
         seeds=1,
     )
-    answers = answers_of(table, first)
+    answers = answers_of(table, first, shared_columns(table, first))
     yield (
         "how many a later run of one seed must lose to be REGRESSED (PROBABLY WORSE), of as many as"
         " the best of these seeds gets right:"

@@ -8,25 +8,41 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pytest_cpas.evaluation import THRESHOLDS
-from pytest_cpas.golden.tables import RunTable, TableSample
+from pytest_cpas.facts import fact
+from pytest_cpas.golden.tables import SAME_ABSOLUTE, SAME_RELATIVE, RunTable, TableSample
+from pytest_cpas.protocols import CountColumn
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["Flips", "Pairing"]
+__all__ = ["Flips", "Pairing", "SharedColumn", "shared_columns"]
 
 #: Samples that a message names before it only counts the rest.
 _NAMED = 8
 
-#: The errors of a sample, in the order of ``samples.csv``: name, factor and unit for people.
-_MOVING = (
-    ("the position error", 100, " cm"),
-    ("the rotation error", 1, " deg"),
-    ("the IoU", 1, ""),
-    ("the F-score", 1, ""),
-)
 
-#: Errors that differ by less, relatively or absolutely, are those of another machine's arithmetic.
-_SAME_RELATIVE, _SAME_ABSOLUTE = 1e-3, 1e-4
+@dataclass(frozen=True)
+class SharedColumn:
+    """A column that two tables have, and which character of an outcome is its own in each."""
+
+    column: CountColumn
+    old: int
+    new: int
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return self.column.label
+
+
+def shared_columns(golden: RunTable, new: RunTable) -> list[SharedColumn]:
+    """The columns that mean the same in both tables, in the order of the new one."""
+    old = {column.key: (index, column) for index, column in enumerate(golden.columns)}
+    return [
+        SharedColumn(column, old[column.key][0], index)
+        for index, column in enumerate(new.columns)
+        if column.key in old
+        and column.limits == old[column.key][1].limits
+        and all(golden.definitions.get(name) == new.definitions.get(name) for name in column.limits)
+    ]
 
 
 @dataclass(frozen=True)
@@ -64,12 +80,12 @@ class Pairing:
             listed=sum(n for k, n in new.listed.items() if category in (None, k)),
         )
 
-    def flips(self, index: int) -> Flips:
-        """What changed at a threshold."""
+    def flips(self, shared: SharedColumn) -> Flips:
+        """What changed in a column."""
         names: dict[str, list[str]] = {"10": [], "01": [], "-": []}
         seen: Counter[str] = Counter()
         for name in self.both:
-            pair = self.old[name].outcome[index] + self.new[name].outcome[index]
+            pair = self.old[name].outcome[shared.old] + self.new[name].outcome[shared.new]
             seen[pair] += 1
             if pair[0] != pair[1]:
                 names["-" if "-" in pair else pair].append(name)
@@ -88,9 +104,9 @@ class Pairing:
             not_applicable=names["-"],
         )
 
-    def told(self, index: int, flips: Flips, remark: str = "") -> list[str]:
-        """The flips at a threshold in words, the samples named."""
-        lines = [f"{THRESHOLDS[index].label}: {flips.counts} correct{remark}"]
+    def told(self, shared: SharedColumn, flips: Flips, remark: str = "") -> list[str]:
+        """The flips in a column in words, the samples named."""
+        lines = [f"{shared.label}: {flips.counts} correct{remark}"]
         for what, names in (
             ("lost", flips.lost),
             ("gained", flips.gained),
@@ -129,21 +145,23 @@ class Pairing:
 
     @property
     def drift(self) -> list[str]:
-        """Errors that moved without crossing a threshold, the one that moved most named."""
+        """Facts that moved without crossing a threshold, the one that moved most named."""
         lines = []
-        for column, (what, factor, unit) in enumerate(_MOVING):
+        for what in self.new[self.both[0]].facts if self.both else ():
             count, most = 0, (0.0, "", 0.0, 0.0)
             for name in self.both:
-                old, new = self.old[name].errors[column], self.new[name].errors[column]
+                old, new = self.old[name].facts.get(what), self.new[name].facts.get(what)
                 if old is None or new is None:
                     continue
-                if not math.isclose(old, new, rel_tol=_SAME_RELATIVE, abs_tol=_SAME_ABSOLUTE):
+                if not math.isclose(old, new, rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE):
                     count, most = count + 1, max(most, (abs(new - old), name, old, new))
             if count:
                 _, name, before, after = most
+                made = fact(what)
+                values = (f"{made.factor * value:.3g}" for value in (before, after))
+                first, second = map(made.pattern.format, values)
                 lines.append(
-                    f"note: {what} moved in {count} samples, most in {name}:"
-                    f" {factor * before:.3g} -> {factor * after:.3g}{unit}"
+                    f"note: {what} moved in {count} samples, most in {name}: {first} -> {second}"
                 )
         return lines
 

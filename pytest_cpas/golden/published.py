@@ -17,7 +17,8 @@ from itertools import chain
 
 from pytest_cpas.golden.comparison import Word
 from pytest_cpas.golden.files import shipped_golden
-from pytest_cpas.metrics.precision import Count, JointThreshold
+from pytest_cpas.metrics.precision import Count
+from pytest_cpas.protocols import PAPER, CountColumn, shipped_protocol
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.datasets import STORED
 from pytest_cpas.types.samples import ALL, COMPLETENESS
@@ -28,9 +29,13 @@ FALSE_ALARMS = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedCell:
-    """Between ``low`` and ``high`` of ``total`` samples correct, as far as the paper tells."""
+    """Between ``low`` and ``high`` of ``total`` samples correct, as far as the paper tells.
+
+    ``column``: the key of the column of the protocol ``cpas`` that it is in; ``label``: its label.
+    """
 
     category: str
+    column: str
     label: str
     low: int
     high: int
@@ -42,7 +47,8 @@ def published_cells(dataset: str, method: str) -> list[PublishedCell]:
     return [
         PublishedCell(
             category=line["category"],
-            label=_threshold(line).label,
+            column=_column(line).key,
+            label=_column(line).label,
             low=int(line["correct_low"]),
             high=int(line["correct_high"]),
             total=int(line["total"]),
@@ -137,12 +143,10 @@ def count_problems(dataset: str, listed: Mapping[str, int], *, partial: bool) ->
     return problems
 
 
-def _threshold(line: Mapping[str, str]) -> JointThreshold:
-    return JointThreshold(
-        rotation_deg=float(line["rotation_deg"]),
-        position_m=float(line["position_m"]),
-        fscore=float(line["fscore_1cm"]) if line["fscore_1cm"] else None,
-    )
+def _column(line: Mapping[str, str]) -> CountColumn:
+    names = ("rotation_deg", "position_m", "fscore_1cm")
+    limits = {name: float(line[name]) for name in names if line[name]}
+    return next(c for c in shipped_protocol(PAPER).counts if c.limits == limits)
 
 
 @functools.cache
@@ -163,7 +167,7 @@ def compare_published(
     compared = [
         (expected, count)
         for cell in cells
-        if (count := table.get(cell.category, {}).get(cell.label)) is not None
+        if (count := table.get(cell.category, {}).get(cell.column)) is not None
         if (expected := _expected(cell, cells, table)) is not None
     ]
     verdicts = []
@@ -176,7 +180,7 @@ def compare_published(
                 lines[word].append(line)
         word = next(word for word, told in lines.items() if told)
         verdicts.append(Verdict(word, category, "\n  ".join(chain.from_iterable(lines.values()))))
-    counts = [table.get(cell.category, {}).get(cell.label) for cell in cells]
+    counts = [table.get(cell.category, {}).get(cell.column) for cell in cells]
     seen = max((count.total for count in counts if count), default=0)
     total = max((cell.total for cell in cells), default=0)
     if 0 < seen < total:
@@ -215,7 +219,7 @@ def _expected(
     """
     lowest, highest = cell.low / cell.total, cell.high / cell.total
     published = f"published {100 * lowest:.1f} %"
-    sizes, judged = _sizes(cells), _judged(table, cell.label)
+    sizes, judged = _sizes(cells), _judged(table, cell.column)
     if cell.category != ALL or not sizes or judged == sizes:
         return _Expected(cell.category, cell.label, lowest, highest, published)
     total = sum(judged.values())
@@ -244,11 +248,11 @@ def _sizes(cells: Sequence[PublishedCell]) -> dict[str, int]:
 
 
 def _judged(
-    table: Mapping[str, Mapping[str, Count | None]], label: str | None = None
+    table: Mapping[str, Mapping[str, Count | None]], column: str | None = None
 ) -> dict[str, int]:
-    """Samples per category of a run's table that are judged, at one threshold or at any."""
+    """Samples per category of a run's table that are judged, in one column or in any."""
     judged = {
-        category: max((c.total for k, c in row.items() if c and label in (None, k)), default=0)
+        category: max((c.total for k, c in row.items() if c and column in (None, k)), default=0)
         for category, row in sorted(table.items())
         if category != ALL
     }

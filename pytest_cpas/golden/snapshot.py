@@ -24,7 +24,8 @@ from pytest_cpas.golden.comparison import compare
 from pytest_cpas.golden.files import find_golden, record
 from pytest_cpas.golden.jitter import parse_alarm
 from pytest_cpas.golden.spread import ALARM
-from pytest_cpas.golden.tables import RunTable, parse_golden
+from pytest_cpas.golden.tables import RunTable
+from pytest_cpas.golden.texts import parse_table, table_texts
 from pytest_cpas.types import Required, Verdict
 
 
@@ -63,7 +64,7 @@ def alarm_level(config: pytest.Config) -> float:
 class GoldenExtension(AbstractSyrupyExtension):
     """Keeps a :class:`RunTable` as golden table of its method and data set.
 
-    syrupy compares serialised data; here that is the text of the table's two files. ``alarm`` and
+    syrupy compares serialised data; here that is the text of the table's files. ``alarm`` and
     ``required`` as of :meth:`of`.
     """
 
@@ -103,14 +104,12 @@ class GoldenExtension(AbstractSyrupyExtension):
                 f"cpas_golden is compared with a {type(data).__name__}, expected a"
                 " pytest_cpas.golden.RunTable, as RunTable.of(run) gives it"
             )
-        samples = data.samples_csv()
         return json.dumps(
             {
                 "method": data.method,
                 "dataset": data.dataset,
                 "listed": dict(data.listed),
-                "table": data.table_toml(samples),
-                "samples": samples,
+                "texts": table_texts(data),
             }
         )
 
@@ -167,9 +166,7 @@ class GoldenExtension(AbstractSyrupyExtension):
 
 def _parse(text: str) -> RunTable:
     content = json.loads(text)
-    table = parse_golden(
-        content["method"], content["dataset"], content["table"], content["samples"]
-    )
+    table = parse_table(content["method"], content["dataset"], content["texts"])
     return replace(table, listed=content["listed"])
 
 

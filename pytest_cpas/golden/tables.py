@@ -1,44 +1,35 @@
-"""What a run gave, sample by sample, and its text in two files."""
+"""What a run gave, sample by sample, judged under its protocols."""
 
 from __future__ import annotations
 
-import csv
 import functools
-import hashlib
-import io
+import math
 import re
-import sys
-import tomllib
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-from pytest_cpas._files import toml_string
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, outcomes, precision_table
-from pytest_cpas.metrics.precision import Count, Errors
+from pytest_cpas.evaluation import Answer, Row, Run
+from pytest_cpas.facts import Facts, fact
+from pytest_cpas.protocols import (
+    CountColumn,
+    Protocol,
+    ScoreTable,
+    Table,
+    count_columns,
+    count_table,
+    judge_outcomes,
+    score_columns,
+    score_table,
+)
 
-__all__ = ["FORMAT", "GoldenError", "RunTable", "TableSample", "differences", "parse_golden"]
-
-
-FORMAT = 2
+__all__ = ["GoldenError", "RunTable", "TableSample", "describe", "differences"]
 
 #: Characters of a reason that are kept.
 _LONGEST_REASON = 2000
 
-_COLUMNS = (
-    "sample",
-    "category",
-    "outcome",
-    "repeats",
-    "translation_error_m",
-    "rotation_error_deg",
-    "iou",
-    "fscore_1cm",
-    "failure",
-)
-
-_OUTCOME = re.compile(f"[01-]{{{len(THRESHOLDS)}}}")
+#: A fact that moved by less, relatively or absolutely, is not recorded anew.
+SAME_RELATIVE, SAME_ABSOLUTE = 1e-3, 1e-4
 
 
 class GoldenError(Exception):
@@ -47,71 +38,121 @@ class GoldenError(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableSample:
-    """A line of ``samples.csv``.
+    """What was answered for a sample, one answer per seed, and how that is judged.
 
-    ``outcome`` as of :func:`outcomes`; ``repeats`` the outcomes under the further seeds of
-    ``--cpas-jitter``, empty if all are like the first; ``errors`` in the order of the columns,
-    metres and degrees, None is n/a; ``failure`` why there is no answer, or "".
+    ``outcomes``: per seed a character for each column of the table that counts samples, as of
+    :func:`pytest_cpas.protocols.judge_outcomes`.
     """
 
     category: str
-    outcome: str
-    repeats: tuple[str, ...]
-    errors: tuple[float, float, float | None, float | None]
-    failure: str
+    answers: tuple[Answer, ...]
+    outcomes: tuple[str, ...]
+
+    @property
+    def facts(self) -> Facts:
+        """Those of the first seed."""
+        return self.answers[0].facts
+
+    @property
+    def failure(self) -> str | None:
+        """Why there is no answer under the first seed."""
+        return self.answers[0].failure
+
+    @property
+    def outcome(self) -> str:
+        """That of the first seed."""
+        return self.outcomes[0]
+
+    @property
+    def wavers(self) -> bool:
+        """Whether the seeds disagree."""
+        return len(set(self.outcomes)) > 1
 
     def describe(self) -> str:
-        """The errors in words."""
-        if self.failure:
-            return f"failed: {self.failure}"
-        translation, rotation, _, fscore = self.errors
-        text = f"{translation * 100:.3g} cm, {rotation:.3g} deg"
-        return text if fscore is None else f"{text}, F {fscore:.3g}"
+        """The facts in words."""
+        return describe(self.facts, self.failure)
+
+    def is_close_to(self, other: TableSample) -> bool:
+        """Whether nothing is judged otherwise, and no fact moved by more than its tolerance."""
+        return (
+            self.category == other.category
+            and self.outcomes == other.outcomes
+            and all(
+                a.failure == b.failure
+                and a.facts.keys() == b.facts.keys()
+                and all(_is_close(a.facts[name], b.facts[name]) for name in a.facts)
+                for a, b in zip(self.answers, other.answers, strict=True)
+            )
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunTable:
     """What a run gave, sample by sample; recorded, it is a golden table.
 
-    ``identity`` must agree for two tables to be comparable, ``provenance`` need not. ``listed``
-    counts per category the samples that there are, judged or not; ``seeds`` how often each
-    sample was judged.
+    ``identity`` must agree for two tables to be comparable, ``definitions`` (of facts, by name) for
+    two columns to be, ``provenance`` need not. ``listed`` counts per category the samples that
+    there are, judged or not; ``seeds`` how often each sample was judged. ``outdated``: it was read
+    from files of an older form, which know less.
     """
 
     method: str
     dataset: str
     identity: Mapping[str, str]
+    definitions: Mapping[str, str]
     provenance: Mapping[str, str]
+    protocols: Sequence[Protocol]
     samples: Mapping[str, TableSample]
     listed: Mapping[str, int]
     seeds: int = 1
+    outdated: bool = False
 
     @classmethod
     def of(cls, run: Run, rows: Sequence[Row] | None = None) -> RunTable:
         """The table of a run's rows; without them, every sample is judged first."""
         if rows is None:
             rows = [run.judge(ref) for ref in run.samples]
+        answers = {
+            row.sample: (
+                row.category,
+                tuple(
+                    Answer(facts=answer.facts, failure=_recordable_text(answer.failure))
+                    for answer in row.answers
+                ),
+            )
+            for row in rows
+        }
         return cls(
             method=run.method,
             dataset=run.dataset,
             identity=run.identity,
+            definitions=run.definitions,
             provenance=run.provenance,
-            samples=_table_samples(rows),
+            protocols=run.protocols,
+            samples=table_samples(run.protocols, answers),
             listed=run.listed,
             seeds=run.seeds,
         )
 
     @functools.cached_property
+    def columns(self) -> tuple[CountColumn, ...]:
+        """Those that count samples, in the order of the outcomes' characters."""
+        return count_columns(self.protocols)
+
+    @functools.cached_property
     def table(self) -> Table:
         """The counts, of the first seed."""
-        return precision_table((s.category, s.outcome) for s in self.samples.values())
+        return count_table(self.columns, ((s.category, s.outcome) for s in self.samples.values()))
 
-    @property
-    def errors(self) -> Errors:
-        """The errors of the samples by metric, of the first seed."""
-        metrics = ("position_m", "rotation_deg", "iou", "fscore")
+    @functools.cached_property
+    def scores(self) -> ScoreTable:
+        """The scores, of the first seed."""
         samples = self.samples.values()
-        return Errors({m: [sample.errors[i] for sample in samples] for i, m in enumerate(metrics)})
+        return score_table(
+            score_columns(self.protocols),
+            [sample.category for sample in samples],
+            [sample.facts for sample in samples],
+        )
 
     def without(self, categories: Collection[str]) -> RunTable:
         """This table without some categories, as if they were not there."""
@@ -122,10 +163,12 @@ class RunTable:
         )
 
     def recordable(self, previous: RunTable | None) -> RunTable:
-        """This table with the categories of ``previous`` that it does not hold itself.
+        """This table as it is recorded in the place of ``previous``.
 
-        Raises :class:`GoldenError` unless every category that it holds is complete, or if what is
-        kept was made under other conditions.
+        Categories of ``previous`` that it does not hold itself are kept, and so are samples of
+        which nothing is judged otherwise and no fact moved beyond its tolerance. Raises
+        :class:`GoldenError` unless every category that it holds is complete, or if what is kept
+        was made under other conditions, or judged under protocols that this one lacks.
         """
         counts = Counter(sample.category for sample in self.samples.values())
         partial = [f"{k} {n} of {self.listed[k]}" for k, n in counts.items() if n < self.listed[k]]
@@ -141,46 +184,67 @@ class RunTable:
                 f"the golden table allows for the spread of {previous.seeds} seeds, and this run"
                 f" has {self.seeds}: pass --cpas-jitter {previous.seeds}, or remove the table first"
             )
+        names = [protocol.name for protocol in self.protocols]
+        if lacking := [p.name for p in previous.protocols if p.name not in names]:
+            raise GoldenError(
+                f"the golden table guards the columns of {', '.join(lacking)} as well: pass"
+                f" {' '.join(f'--cpas-protocol {name}' for name in [*names, *lacking])}, or remove"
+                " the table first"
+            )
         kept = {
             name: sample
             for name, sample in previous.samples.items()
             if sample.category not in counts and sample.category in self.listed
         }
-        if kept and (differences(previous.identity, self.identity) or previous.seeds != self.seeds):
+        same_kind = (
+            previous.seeds == self.seeds
+            and not previous.outdated
+            and previous.protocols == self.protocols
+            and previous.definitions == self.definitions
+            and not differences(previous.identity, self.identity)
+        )
+        if kept and not same_kind:
             raise GoldenError(
                 "the cells of the other categories were made under other conditions; record all"
                 " categories together"
             )
-        return replace(self, samples=kept | dict(self.samples))
+        now = dict(self.samples)
+        if same_kind:
+            old = previous.samples
+            now = {
+                name: old[name] if name in old and sample.is_close_to(old[name]) else sample
+                for name, sample in now.items()
+            }
+        return replace(self, samples=kept | now)
 
-    # -- text -------------------------------------------------------------------------------
 
-    def samples_csv(self) -> str:
-        """The text of ``samples.csv``."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        for name, sample in sorted(self.samples.items()):
-            repeats = " ".join(sample.repeats)
-            errors = ("" if error is None else f"{error:.6g}" for error in sample.errors)
-            writer.writerow(
-                (name, sample.category, sample.outcome, repeats, *errors, sample.failure)
-            )
-        return text.getvalue()
+def table_samples(
+    protocols: Sequence[Protocol], answers: Mapping[str, tuple[str, tuple[Answer, ...]]]
+) -> dict[str, TableSample]:
+    """Samples, given as category and answers by name, judged under protocols."""
+    columns = count_columns(protocols)
+    outcomes = iter(
+        judge_outcomes(columns, [a.facts for _, given in answers.values() for a in given])
+    )
+    return {
+        name: TableSample(
+            category=category,
+            answers=given,
+            outcomes=tuple(next(outcomes) for _ in given),
+        )
+        for name, (category, given) in answers.items()
+    }
 
-    def table_toml(self, samples_csv: str) -> str:
-        """The text of ``table.toml``; it names the digest of ``samples.csv``."""
-        lines = [
-            "# Recorded by pytest-cpas; --snapshot-update records it anew.",
-            f"format = {FORMAT}",
-            f"samples_sha256 = {toml_string(_digest(samples_csv))}",
-            f"seeds = {self.seeds}",
-        ]
-        for title, values in (("identity", self.identity), ("provenance", self.provenance)):
-            lines += ["", f"[{title}]"]
-            lines += [f"{key} = {toml_string(value)}" for key, value in sorted(values.items())]
-        lines += ["", "[cells]", *_cell_lines(self.table)]
-        return "\n".join(lines) + "\n"
+
+def describe(facts: Facts, failure: str | None) -> str:
+    """An answer in words: its facts, or why there is none."""
+    if failure:
+        return f"failed: {failure}"
+    return ", ".join(
+        fact(name).pattern.format(f"{fact(name).factor * value:.3g}")
+        for name, value in facts.items()
+        if value is not None
+    )
 
 
 def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
@@ -192,114 +256,20 @@ def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _table_samples(rows: Sequence[Row]) -> dict[str, TableSample]:
-    return {
-        row.sample: TableSample(
-            category=row.category,
-            outcome=outcome,
-            repeats=tuple(row.repeats.split()) if set(row.repeats.split()) - {outcome} else (),
-            errors=(row.translation_error, row.rotation_error, row.iou, row.fscore_1cm),
-            failure=_recordable_text(row.failure or ""),
-        )
-        for row, outcome in zip(rows, outcomes(rows), strict=True)
-    }
+def _is_close(one: float | None, other: float | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return math.isclose(one, other, rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE)
 
 
-def _recordable_text(text: str) -> str:
+def _recordable_text(text: str | None) -> str | None:
     """A reason as a table keeps it: not endless, and of characters that every reader takes."""
+    if text is None:
+        return None
     if len(text) > _LONGEST_REASON:
         text = f"{text[:_LONGEST_REASON]}... ({len(text)} characters)"
     return re.sub(
         r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]",
         lambda match: match[0].encode("unicode_escape").decode("ascii"),
         text,
-    )
-
-
-def _cell_lines(table: Table) -> list[str]:
-    return [
-        f"{toml_string(f'{category} | {label}')} = {toml_string(_cell(cell))}"
-        for category, cells in sorted(table.items())
-        for label, cell in sorted(cells.items())
-    ]
-
-
-def _cell(cell: Count | None) -> str:
-    return "n/a" if cell is None else f"{cell.correct}/{cell.total}"
-
-
-def _digest(samples: str) -> str:
-    return hashlib.sha256(samples.encode()).hexdigest()
-
-
-def parse_golden(method: str, dataset: str, toml: str, samples_csv: str) -> RunTable:
-    """A table from the texts of its two files.
-
-    Raises :class:`GoldenError` if they are not, or do not belong together.
-    """
-    lines = io.StringIO(samples_csv, newline="")
-    return parse_samples(method, dataset, toml, lines, _digest(samples_csv))
-
-
-def parse_samples(
-    method: str, dataset: str, toml: str, samples_csv: Iterable[str], digest: str
-) -> RunTable:
-    """The same from the lines of ``samples.csv`` and their SHA-256."""
-    try:
-        content: dict[str, Any] = tomllib.loads(toml)
-    except tomllib.TOMLDecodeError as error:
-        raise GoldenError(f"table.toml: {error}") from error
-    if content.get("format") != FORMAT:
-        raise GoldenError(f"format is {content.get('format')!r}, this version reads {FORMAT}")
-    seeds = content.get("seeds")
-    if not isinstance(seeds, int) or seeds < 1:
-        raise GoldenError(f"table.toml: seeds is {seeds!r}, expected at least 1")
-    sections = [content.get(name, 0) for name in ("identity", "provenance", "cells")]
-    for section in sections:
-        if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
-            raise GoldenError("table.toml: [identity], [provenance], [cells] must hold strings")
-    identity, provenance, cells = sections
-    if content.get("samples_sha256") != digest:
-        raise GoldenError("samples.csv is not the file that table.toml was made with")
-    lines = csv.reader(samples_csv)
-    try:
-        if tuple(next(lines, ())) != _COLUMNS:
-            raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
-        samples = {sys.intern(line[0]): _sample(line) for line in lines}
-    except (ValueError, IndexError, csv.Error) as error:
-        raise GoldenError(f"samples.csv: {error}") from error
-    for sample in samples.values():
-        told = [sample.outcome, *sample.repeats]
-        if len(told) not in (1, seeds) or not all(_OUTCOME.fullmatch(text) for text in told):
-            raise GoldenError(f"samples.csv: outcomes {' '.join(told)}")
-    listed = Counter(sample.category for sample in samples.values())
-    table = RunTable(
-        method=method,
-        dataset=dataset,
-        identity=identity,
-        provenance=provenance,
-        samples=samples,
-        listed=listed,
-        seeds=seeds,
-    )
-    if [f"{toml_string(k)} = {toml_string(v)}" for k, v in cells.items()] != _cell_lines(
-        table.table
-    ):
-        raise GoldenError("the cells of table.toml are not the sums of samples.csv")
-    return table
-
-
-def _sample(line: Sequence[str]) -> TableSample:
-    _, category, outcome, repeats, translation, rotation, iou, fscore, failure = line
-    return TableSample(
-        category=sys.intern(category),
-        outcome=sys.intern(outcome),
-        repeats=tuple(repeats.split()),
-        errors=(
-            float(translation),
-            float(rotation),
-            float(iou) if iou else None,
-            float(fscore) if fscore else None,
-        ),
-        failure=failure,
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -12,20 +12,18 @@ from scipy.special import bdtr
 from pytest_cpas.documents import (
     AgainstDocument,
     ChangeDocument,
+    FlipDocument,
     PairDocument,
     RunConditions,
     RunDocument,
+    SampleDocument,
 )
-from pytest_cpas.evaluation import DEFINITIONS, THRESHOLDS
-from pytest_cpas.golden import TableSample, differences
+from pytest_cpas.golden import describe, differences
 from pytest_cpas.report.document import flip_document
 from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.stored import StoredReportError
+from pytest_cpas.report.tables import labels
 from pytest_cpas.types.samples import ALL
-
-#: What two runs must have in common to be compared.
-_SAME = frozenset({"data", *DEFINITIONS})
-
 
 #: Runs that are given as documents, or by no more than their conditions.
 _New = TypeVar("_New", bound=RunConditions)
@@ -53,7 +51,7 @@ def pairs(new: Sequence[_New], old: Sequence[_Old]) -> tuple[list[tuple[_New, _O
             " expected a data set that both have, with the same method or with one method each"
         )
     for a, b in matched:
-        if other := differences(_same(b), _same(a)):
+        if other := differences(_same(b, a), _same(a, b)):
             raise StoredReportError(
                 f"{run_title(a)} cannot be compared with {run_title(b)}: {'; '.join(other)}. Judge"
                 " both on the same data with the same version"
@@ -64,9 +62,11 @@ def pairs(new: Sequence[_New], old: Sequence[_Old]) -> tuple[list[tuple[_New, _O
     return matched, unpaired
 
 
-def _same(run: RunConditions) -> dict[str, str]:
-    """The part of a run's identity that another one must have as well."""
-    return {key: value for key, value in run["identity"].items() if key in _SAME}
+def _same(run: RunConditions, other: RunConditions) -> dict[str, str]:
+    """What a run must have in common with another one: the data, and what its facts mean."""
+    shared = run["definitions"].keys() & other["definitions"].keys()
+    data = {key: value for key, value in run["identity"].items() if key == "data"}
+    return {**data, **{name: run["definitions"][name] for name in shared}}
 
 
 def _names(runs: Sequence[RunConditions]) -> str:
@@ -88,7 +88,8 @@ def against(new: Sequence[RunDocument], old: Sequence[RunDocument]) -> AgainstDo
 
 def _pair(new: RunDocument, old: RunDocument) -> PairDocument:
     now, before = _judged(new), _judged(old)
-    common = sorted(now.keys() & before.keys())
+    common = now.keys() & before.keys()
+    columns = _columns(new, old)
     conditions = [{**run["identity"], **run["provenance"]} for run in (old, new)]
     return {
         "method": new["method"],
@@ -98,63 +99,89 @@ def _pair(new: RunDocument, old: RunDocument) -> PairDocument:
         "common": len(common),
         "only_here": len(now) - len(common),
         "only_there": len(before) - len(common),
-        "precision": list(_precision(now, before, common)),
-        "flips": [
-            flip for name in common if (flip := flip_document(name, before[name], now[name]))
-        ],
+        "precision": list(_precision(now, before, columns, guard=False)),
+        "guards": list(_precision(now, before, columns, guard=True)),
+        "flips": list(_flips(now, before, columns)),
     }
 
 
-def _judged(run: RunDocument) -> dict[str, TableSample]:
+def _judged(run: RunDocument) -> dict[str, SampleDocument]:
     """The samples of a run's document that have a row."""
-    judged = {}
-    for sample in run["samples"]:
-        if sample["outcome"] is not None:
-            # what is not finite is not in a document
-            position, rotation = (
-                math.inf if error is None else error
-                for error in (sample["position_m"], sample["rotation_deg"])
-            )
-            judged[sample["sample"]] = TableSample(
-                category=sample["category"],
-                outcome=sample["outcome"],
-                repeats=(),
-                errors=(position, rotation, sample["iou"], sample["fscore_1cm"]),
-                failure=sample["failure"] or "",
-            )
-    return judged
+    return {sample["sample"]: sample for sample in run["samples"] if sample["outcome"] is not None}
+
+
+def _flips(
+    now: Mapping[str, SampleDocument],
+    before: Mapping[str, SampleDocument],
+    columns: Sequence[_Column],
+) -> Iterator[FlipDocument]:
+    for name in sorted(now.keys() & before.keys()):
+        old, new = before[name], now[name]
+        flip = flip_document(
+            name,
+            new["category"],
+            [
+                (c.label, (old["outcome"] or "")[c.old], (new["outcome"] or "")[c.new])
+                for c in columns
+            ],
+            describe(old["facts"], old["failure"]),
+            describe(new["facts"], new["failure"]),
+        )
+        if flip:
+            yield flip
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column that two runs have, and which character of an outcome is its own in each."""
+
+    label: str
+    old: int
+    new: int
+    guard: bool
+
+
+def _columns(new: RunDocument, old: RunDocument) -> list[_Column]:
+    """Those that both were judged in, under the same definitions."""
+    now, before = ([*labels(run["precision"]), *labels(run["guards"])] for run in (new, old))
+    guards = labels(new["guards"])
+    return [
+        _Column(label, before.index(label), index, label in guards)
+        for index, label in enumerate(now)
+        if label in before
+    ]
 
 
 def _precision(
-    now: Mapping[str, TableSample], before: Mapping[str, TableSample], common: Sequence[str]
+    now: Mapping[str, SampleDocument],
+    before: Mapping[str, SampleDocument],
+    columns: Sequence[_Column],
+    *,
+    guard: bool,
 ) -> Iterator[ChangeDocument]:
-    """One entry per category (and "all") and joint threshold, of the samples of both runs."""
-    categories = sorted({now[name].category for name in common})
+    """One entry per category (and "all") and column, of the samples of both runs."""
+    common = now.keys() & before.keys()
+    categories = sorted({now[name]["category"] for name in common})
     for category in (*categories, *([ALL] if common else [])):
-        members = [name for name in common if category in (ALL, now[name].category)]
-        for index, threshold in enumerate(THRESHOLDS):
-            outcomes = [before[name].outcome[index] + now[name].outcome[index] for name in members]
-            known = [pair for pair in outcomes if "-" not in pair]
-            if not known:
-                yield {
-                    "category": category,
-                    "threshold": threshold.label,
-                    "before": None,
-                    "after": None,
-                    "lost": 0,
-                    "gained": 0,
-                    "p": None,
-                }
+        members = [name for name in common if category in (ALL, now[name]["category"])]
+        for column in columns:
+            if column.guard is not guard:
                 continue
+            outcomes = [
+                (before[name]["outcome"] or "")[column.old]
+                + (now[name]["outcome"] or "")[column.new]
+                for name in members
+            ]
+            known = [pair for pair in outcomes if "-" not in pair]
             old, new = (np.array([pair[side] == "1" for pair in known]) for side in (0, 1))
             yield {
                 "category": category,
-                "threshold": threshold.label,
-                "before": {"correct": int(old.sum()), "total": len(known)},
-                "after": {"correct": int(new.sum()), "total": len(known)},
-                "lost": int((old & ~new).sum()),
-                "gained": int((new & ~old).sum()),
-                "p": _p_value(old, new),
+                "threshold": column.label,
+                "before": {"correct": int(old.sum()), "total": len(known)} if known else None,
+                "after": {"correct": int(new.sum()), "total": len(known)} if known else None,
+                "lost": int((old & ~new).sum()) if known else 0,
+                "gained": int((new & ~old).sum()) if known else 0,
+                "p": _p_value(old, new) if known else None,
             }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
@@ -30,24 +30,32 @@ from pytest_cpas.documents import (
     PrecisionDocument,
     RunDocument,
     SampleDocument,
+    ScoreDocument,
     SpeedDocument,
     VerdictDocument,
 )
-from pytest_cpas.evaluation import THRESHOLDS, Run, Table
-from pytest_cpas.golden import RunTable, TableSample, differences
+from pytest_cpas.evaluation import Run
+from pytest_cpas.golden import RunTable, TableSample, differences, shared_columns
 from pytest_cpas.golden.published import (
-    PublishedCell,
     count_problems,
     published_cells,
     published_datasets,
     published_name,
 )
-from pytest_cpas.metrics.precision import Count, curve
+from pytest_cpas.metrics.precision import Count, Errors, curve
+from pytest_cpas.protocols import (
+    PAPER,
+    Column,
+    CountColumn,
+    Protocol,
+    count_columns,
+    score_columns,
+)
 from pytest_cpas.report.published import points, published_count, published_document
 from pytest_cpas.types import Required, Verdict
 from pytest_cpas.types.samples import ALL
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 
 #: The thresholds of the paper's curves: metric, and the limits (metres, degrees, F-score).
 CURVES: Mapping[CurveName, Sequence[float]] = {
@@ -60,17 +68,20 @@ CURVES: Mapping[CurveName, Sequence[float]] = {
 SEVERITY: Sequence[ItemOutcome] = ("failed", "skipped", "passed")
 
 
-def document(runs: Sequence[RunDocument], failed_items: int) -> Document:
+def document(
+    runs: Sequence[RunDocument], failed_items: int, protocols: Sequence[Protocol]
+) -> Document:
     """The document of a session: its runs, as of :func:`run_document`, failing ones first.
 
-    ``failed_items`` counts the test items that failed, whatever they tested. If a run is on a data
-    set of the paper, the published tables stand beside.
+    ``protocols``: what they are judged under; ``failed_items`` counts the test items that failed,
+    whatever they tested. If a run is on a data set of the paper, the published tables stand beside.
     """
     return {
         "format": FORMAT,
         "outcome": "failed" if failed_items else worst(run["outcome"] for run in runs),
         "failed_items": failed_items,
-        "thresholds": [threshold.label for threshold in THRESHOLDS],
+        "thresholds": [label(column) for column in shown_columns(protocols, guard=False)],
+        "guards": [label(column) for column in shown_columns(protocols, guard=True)],
         "runs": sorted(runs, key=lambda run: SEVERITY.index(run["outcome"])),
         "published": {name: published_document(name) for name in published_datasets()}
         if any(run["published_as"] for run in runs)
@@ -99,7 +110,6 @@ def run_document(
     """
     if golden is not None and differences(golden.identity, new.identity):
         golden = None
-    old = golden.samples if golden else {}
     published = published_name(run.dataset, run.listed)
     problems = [
         *run.damaged,
@@ -136,21 +146,16 @@ def run_document(
             for finding in findings
         ],
         "contract": checks,
-        "precision": _precision(
-            new.table,
-            golden.table if golden else {},
-            published_cells(published, run.method) if published else [],
-        ),
+        "precision": _precision(new, golden, published, guard=False),
+        "guards": _precision(new, golden, published, guard=True),
+        "scores": _scores(new, golden),
         "curves": _curves(new),
-        "flips": [
-            flip
-            for name in sorted(old.keys() & new.samples.keys())
-            if (flip := flip_document(name, old[name], new.samples[name]))
-        ],
-        "samples": _samples(run, new, old, errors) if samples else [],
+        "flips": _flips(new, golden),
+        "samples": _samples(run, new, golden, errors) if samples else [],
         "speed": speed,
         "up_axes": None,  # :mod:`pytest_cpas.report.up_axes`, for a report only
         "identity": dict(run.identity),
+        "definitions": dict(run.definitions),
         "provenance": dict(run.provenance),
     }
 
@@ -181,24 +186,66 @@ def _categories(run: Run, new: RunTable) -> dict[str, CategoryDocument]:
     }
 
 
+def shown_columns(protocols: Sequence[Protocol], *, guard: bool) -> list[CountColumn]:
+    """The columns that count samples and are to be read, or those that are there to be guarded."""
+    return [column for column in count_columns(protocols) if column.guard is guard]
+
+
+def label(column: Column) -> str:
+    """What a column is called in a document: with its protocol, unless that is the paper's."""
+    return column.label if column.protocol == PAPER else f"{column.protocol}: {column.label}"
+
+
 def _precision(
-    table: Table, golden: Table, published: Sequence[PublishedCell]
+    new: RunTable, golden: RunTable | None, published: str | None, *, guard: bool
 ) -> list[PrecisionDocument]:
-    """One entry per category (and "all") and joint threshold; what is n/a is None."""
-    paper = {(cell.category, cell.label): cell for cell in published}
+    """One entry per category (and "all") and column; what is n/a is None."""
+    cells = published_cells(published, new.method) if published else []
+    paper = {(cell.category, cell.column): cell for cell in cells}
+    old = golden.table if golden else {}
     return [
         {
             "category": category,
-            "threshold": threshold.label,
-            "measured": _count(table.get(category, {}).get(threshold.label)),
-            "golden": _count(golden.get(category, {}).get(threshold.label)),
+            "threshold": label(column),
+            "measured": _count(new.table.get(category, {}).get(column.key)),
+            "golden": _count(old.get(category, {}).get(column.key)),
             "published": published_count(cell)
-            if (cell := paper.get((category, threshold.label)))
+            if (cell := paper.get((category, column.key)))
             else None,
         }
-        for category in (*sorted({*table, *golden} - {ALL}), *([ALL] if table else []))
-        for threshold in THRESHOLDS
+        for category in _in_order({*new.table, *old})
+        for column in shown_columns(new.protocols, guard=guard)
     ]
+
+
+def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
+    old = golden.scores if golden else {}
+    scores: list[ScoreDocument] = []
+    for category in _in_order(new.scores.keys()):
+        for column in score_columns(new.protocols):
+            score = new.scores[category][column.key]
+            before = old.get(category, {}).get(column.key)
+            scores.append(
+                {
+                    "category": category,
+                    "score": label(column),
+                    "measured": _finite(score.value) if score else None,
+                    "golden": _finite(before.value) if before else None,
+                    "samples": score.samples if score else 0,
+                    "better": column.better,
+                }
+            )
+    return scores
+
+
+def _in_order(categories: Collection[str]) -> list[str]:
+    """By name, and "all" last."""
+    return sorted(categories, key=lambda name: (name == ALL, name))
+
+
+def _finite(value: float) -> float | None:
+    """As golden tables keep it: the last bits are those of a process, not of a run."""
+    return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def _count(count: Count | None) -> CountDocument | None:
@@ -207,7 +254,13 @@ def _count(count: Count | None) -> CountDocument | None:
 
 def _curves(table: RunTable) -> CurvesDocument:
     """Per metric the counts at :data:`CURVES`; None where the metric is n/a."""
-    errors = table.errors
+    samples = table.samples.values()
+    errors = Errors(
+        {
+            name.removesuffix("_1cm"): [sample.facts.get(name) for sample in samples]
+            for name in CURVES
+        }
+    )
 
     def counts(name: CurveName) -> list[PointDocument] | None:
         limits = CURVES[name]
@@ -221,55 +274,80 @@ def _curves(table: RunTable) -> CurvesDocument:
     }
 
 
-def flip_document(name: str, old: TableSample, new: TableSample) -> FlipDocument | None:
-    """At which thresholds a sample is judged otherwise than before; None if at none."""
-    if old.outcome == new.outcome:
-        return None
+def flip_document(
+    name: str, category: str, outcomes: Iterable[tuple[str, str, str]], before: str, after: str
+) -> FlipDocument | None:
+    """In which columns a sample is judged otherwise than before; None if in none.
+
+    ``outcomes``: the label of each column, and the characters then and now; ``before`` and
+    ``after``: the answers in words.
+    """
     flip: FlipDocument = {
         "sample": name,
-        "category": new.category,
+        "category": category,
         "lost": [],
         "gained": [],
         "changed": [],
-        "before": old.describe(),
-        "after": new.describe(),
+        "before": before,
+        "after": after,
     }
-    for threshold, before, after in zip(THRESHOLDS, old.outcome, new.outcome, strict=True):
-        if (before, after) == ("1", "0"):
-            flip["lost"].append(threshold.label)
-        elif (before, after) == ("0", "1"):
-            flip["gained"].append(threshold.label)
-        elif before != after:
-            flip["changed"].append(threshold.label)
-    return flip
+    for column, old, new in outcomes:
+        if (old, new) == ("1", "0"):
+            flip["lost"].append(column)
+        elif (old, new) == ("0", "1"):
+            flip["gained"].append(column)
+        elif old != new:
+            flip["changed"].append(column)
+    return flip if flip["lost"] or flip["gained"] or flip["changed"] else None
+
+
+def _flips(new: RunTable, golden: RunTable | None) -> list[FlipDocument]:
+    if golden is None:
+        return []
+    shared = shared_columns(golden, new)
+    flips = []
+    for name in sorted(golden.samples.keys() & new.samples.keys()):
+        old, now = golden.samples[name], new.samples[name]
+        pairs = [(label(c.column), old.outcome[c.old], now.outcome[c.new]) for c in shared]
+        if any(before != after for _, before, after in pairs):
+            words = old.describe(), now.describe()
+            flips.append(flip_document(name, now.category, pairs, *words))
+    return [flip for flip in flips if flip]
 
 
 def _samples(
-    run: Run, new: RunTable, old: Mapping[str, TableSample], errors: Mapping[str, str]
+    run: Run, new: RunTable, golden: RunTable | None, errors: Mapping[str, str]
 ) -> list[SampleDocument]:
     """The samples that have a row or an error, by name."""
     category = {ref.id: ref.category for ref in run.samples}
+    old = golden.samples if golden else {}
     samples: list[SampleDocument] = []
     for name in sorted({*new.samples, *errors}):
         judged = new.samples.get(name)
-        values = judged.errors if judged else (None,) * 4
-        # as golden tables keep them: the last bits are those of a process, not of a run
-        position, rotation, iou, fscore = (
-            None if value is None or not math.isfinite(value) else float(f"{value:.6g}")
-            for value in values
-        )
+        facts = {
+            fact: None if value is None else _finite(value)
+            for fact, value in (judged.facts if judged else {}).items()
+        }
         samples.append(
             {
                 "sample": name,
                 "category": judged.category if judged else category[name],
-                "outcome": judged.outcome if judged else None,
-                "golden": old[name].outcome if name in old else None,
-                "position_m": position,
-                "rotation_deg": rotation,
-                "iou": iou,
-                "fscore_1cm": fscore,
-                "failure": judged.failure or None if judged else None,
+                "outcome": _outcome(judged, new, new) if judged else None,
+                "golden": _outcome(old[name], golden, new) if golden and name in old else None,
+                "position_m": facts.get("position_m"),
+                "rotation_deg": facts.get("rotation_deg"),
+                "iou": facts.get("iou"),
+                "fscore_1cm": facts.get("fscore_1cm"),
+                "facts": facts,
+                "failure": judged.failure if judged else None,
                 "error": None if judged else errors[name],
             }
         )
     return samples
+
+
+def _outcome(sample: TableSample, table: RunTable, shown: RunTable) -> str:
+    """The outcome of a sample of ``table`` as the document has it, in the columns of ``shown``."""
+    letters = {column.new: sample.outcome[column.old] for column in shared_columns(table, shown)}
+    order = sorted(range(len(shown.columns)), key=lambda index: shown.columns[index].guard)
+    return "".join(letters.get(index, "-") for index in order)

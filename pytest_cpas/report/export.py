@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.documents import Document, RunDocument
-from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.messages import method_title
 from pytest_cpas.report.tables import Cell, Line, Paper, category_tables, groups, precision_table
 
@@ -21,9 +20,7 @@ _COLUMNS = (
     "method",
     "source",
     "category",
-    "rotation_deg",
-    "position_m",
-    "fscore_1cm",
+    "column",
     "correct_low",
     "correct_high",
     "total",
@@ -55,29 +52,21 @@ def precision_csv(document: Document) -> str:
     """One line per data set, method, category and joint threshold; what is n/a has none.
 
     ``source`` is measured or paper. Between ``correct_low`` and ``correct_high`` of ``total``
-    samples are correct: the same number, unless the paper's print leaves it open. An empty
-    ``fscore_1cm`` is no threshold on shape.
+    samples are correct: the same number, unless the paper's print leaves it open. The means and
+    medians of scores stand in a second table, of :func:`scores_csv`.
     """
-    limits = {
-        threshold.label: (
-            f"{threshold.rotation_deg:g}",
-            f"{threshold.position_m:g}",
-            "" if threshold.fscore is None else f"{threshold.fscore:g}",
-        )
-        for threshold in THRESHOLDS
-    }
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
     for where, threshold, low, high, total in _counts(document):
-        writer.writerow((*where, *limits[threshold], low, high, total, f"{low / total:.4f}"))
+        writer.writerow((*where, threshold, low, high, total, f"{low / total:.4f}"))
     return text.getvalue()
 
 
 def _counts(document: Document) -> Iterator[tuple[tuple[str, str, str, str], str, int, int, int]]:
     """(data set, method, source, category), threshold, lowest and highest count, and total."""
     for run in document["runs"]:
-        for entry in run["precision"]:
+        for entry in (*run["precision"], *run["guards"]):
             if count := entry["measured"]:
                 where = (run["dataset"], run["method"], "measured", entry["category"])
                 yield where, entry["threshold"], count["correct"], count["correct"], count["total"]
@@ -92,6 +81,19 @@ def _counts(document: Document) -> Iterator[tuple[tuple[str, str, str, str], str
                     printed["highest"],
                     printed["total"],
                 )
+
+
+def scores_csv(document: Document) -> str:
+    """One line per data set, method, category and score; what is n/a has none."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("dataset", "method", "category", "column", "samples", "value"))
+    for run in document["runs"]:
+        for entry in run["scores"]:
+            if (value := entry["measured"]) is not None:
+                where = (run["dataset"], run["method"], entry["category"])
+                writer.writerow((*where, entry["score"], entry["samples"], f"{value:.6g}"))
+    return text.getvalue()
 
 
 def precision_tex(document: Document) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pytest_cpas._files import write_file
 from pytest_cpas.documents import Document
-from pytest_cpas.report.export import precision_csv, precision_tex
+from pytest_cpas.report.export import precision_csv, precision_tex, scores_csv
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
 
@@ -27,5 +27,6 @@ def write_report(
     write_file(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     write_file(folder / "report.md", markdown(document))
     write_file(folder / "precision.csv", precision_csv(document))
+    write_file(folder / "scores.csv", scores_csv(document))
     write_file(folder / "precision.tex", precision_tex(document))
     write_file(folder / "report.html", page(document, pictures))

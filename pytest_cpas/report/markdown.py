@@ -25,6 +25,7 @@ from pytest_cpas.report.tables import (
     Line,
     category_lines,
     category_tables,
+    column_count,
     groups,
     other_cells,
     precision_table,
@@ -102,7 +103,7 @@ def _troubles(run: RunDocument) -> Iterator[str]:
     if run["flips"]:
         yield "**Judged otherwise than by the golden table**"
         yield ""
-        yield from _flips(run["flips"])
+        yield from _flips(run["flips"], column_count(run))
 
 
 def _speed(run: RunDocument) -> Iterator[str]:
@@ -114,7 +115,7 @@ def _speed(run: RunDocument) -> Iterator[str]:
         yield ""
 
 
-def _flips(flips: Sequence[FlipDocument]) -> Iterator[str]:
+def _flips(flips: Sequence[FlipDocument], every: int) -> Iterator[str]:
     yield from _table(
         ["sample", "before", "now", "what changed"],
         [
@@ -122,7 +123,7 @@ def _flips(flips: Sequence[FlipDocument]) -> Iterator[str]:
                 _escape(flip["sample"]),
                 _escape(flip["before"]),
                 _escape(flip["after"]),
-                flip_message(flip),
+                flip_message(flip, every),
             ]
             for flip in flips[:_SHOWN]
         ],
@@ -148,7 +149,7 @@ def _against(against: AgainstDocument, thresholds: Sequence[str]) -> Iterator[st
             ],
         )
         if pair["flips"]:
-            yield from _flips(worst_flips_first(pair["flips"]))
+            yield from _flips(worst_flips_first(pair["flips"]), column_count(pair))
     if against["unpaired"]:
         yield "**Without a counterpart**"
         yield ""

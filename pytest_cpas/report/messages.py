@@ -19,7 +19,6 @@ from pytest_cpas.documents import (
     StageDocument,
     VerdictDocument,
 )
-from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.document import SEVERITY
 from pytest_cpas.types.samples import ALL
 
@@ -79,10 +78,9 @@ def contract_message(results: Sequence[ContractDocument]) -> str:
     return "; ".join(parts)
 
 
-def flip_message(flip: FlipDocument) -> str:
-    """At which thresholds a sample is judged otherwise than by the golden table."""
+def flip_message(flip: FlipDocument, every: int) -> str:
+    """In which of ``every`` column a sample is judged otherwise than by the golden table."""
     kinds = (("lost", flip["lost"]), ("gained", flip["gained"]), ("n/a changed", flip["changed"]))
-    every = len(THRESHOLDS)
     return ". ".join(
         f"{kind} at {'every threshold' if len(labels) == every else '; '.join(labels)}"
         for kind, labels in kinds

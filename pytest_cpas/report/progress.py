@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import pytest
 
-from pytest_cpas.evaluation import THRESHOLDS, Row, Run, outcomes
+from pytest_cpas.evaluation import Row, Run
+from pytest_cpas.protocols import count_columns, judge_outcomes
 
 #: Seconds until the first line, and from one to the next.
 FIRST, INTERVAL = 10.0, 30.0
@@ -54,7 +55,9 @@ class Progress:
     def _count(self, run: Run, rows: Sequence[Row]) -> None:
         self._done += len(rows)
         self._judged[run] = self._judged.get(run, 0) + len(rows)
-        correct = sum(outcome[0] == "1" for outcome in outcomes(rows)) if rows else 0
+        first = count_columns(run.protocols)[:1]
+        outcomes = judge_outcomes(first, [row.facts for row in rows])
+        correct = sum(outcome == "1" for outcome in outcomes)
         self._correct[run] = self._correct.get(run, 0) + correct
 
     @pytest.hookimpl(trylast=True)
@@ -76,11 +79,12 @@ class Progress:
             if self._total is not None and self._total > self._done:
                 parts.append(f"{_duration((self._total - self._done) / rate)} left")
         text = ", ".join(parts)
-        if self._run is not None and (judged := self._judged[self._run]):
+        columns = count_columns(self._run.protocols) if self._run else ()
+        if self._run is not None and columns and (judged := self._judged[self._run]):
             correct = self._correct[self._run]
             text += (
                 f"; {self._run.method} on {self._run.dataset}: {correct}/{judged}"
-                f" ({100 * correct / judged:.1f} %) correct at {THRESHOLDS[0].label}"
+                f" ({100 * correct / judged:.1f} %) correct at {columns[0].label}"
             )
         return text
 

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import cast
 
 from pytest_cpas.documents import Document, RunDocument
-from pytest_cpas.evaluation import THRESHOLDS, MergedRun, Row, SampleError, merge
+from pytest_cpas.evaluation import MergedRun, Row, SampleError, merge
 from pytest_cpas.golden import RunTable
+from pytest_cpas.protocols import Protocol
 from pytest_cpas.report.document import FORMAT, run_document
+from pytest_cpas.report.tables import labels
 
 
 class StoredReportError(Exception):
@@ -41,18 +43,15 @@ def read_report(path: Path) -> Document:
             f" {wrong.message[:200]})"
         )
     document = cast(Document, content)  # as the schema says
-    labels = [threshold.label for threshold in THRESHOLDS]
-    measured = {entry["threshold"] for run in document["runs"] for entry in run["precision"]}
-    printed = {
-        entry["threshold"]
-        for methods in document["published"].values()
-        for method in methods.values()
-        for entry in method["precision"]
-    }
-    if document["thresholds"] != labels or not measured | printed <= {*labels}:
-        raise StoredReportError(
-            f"{path}: has other thresholds than this version, which judges at {'; '.join(labels)}"
-        )
+    columns = [*document["thresholds"], *document["guards"]]
+    for run in document["runs"]:
+        own = [*labels(run["precision"]), *labels(run["guards"])]
+        outcomes = [sample["outcome"] for sample in run["samples"] if sample["outcome"] is not None]
+        if (own and own != columns) or any(len(text) != len(columns) for text in outcomes):
+            raise StoredReportError(
+                f"{path}: the columns of {run['method']} on {run['dataset']} are not those that it"
+                f" says it was judged in: {'; '.join(columns)}"
+            )
     return document
 
 
@@ -60,16 +59,19 @@ def _no_constant(name: str) -> None:
     raise ValueError(f"{name} is not JSON")
 
 
-def read_runs(paths: Sequence[Path]) -> list[RunDocument]:
+def read_runs(
+    paths: Sequence[Path], protocols: Sequence[Protocol] | None = None
+) -> list[RunDocument]:
     """The documents of the runs in reports (``.json``) and results files.
 
+    Results are judged under ``protocols``, the paper's if None; reports are as they were judged.
     The results files of the shards of a run are put together; parts may be missing. Raises
     :class:`StoredReportError`, and :class:`pytest_cpas.evaluation.results.ResultsError`.
     """
     reports = [path for path in paths if path.suffix == ".json"]
     results = [path for path in paths if path.suffix != ".json"]
     runs = [run for path in reports for run in read_report(path)["runs"]]
-    runs += [_judged(run) for run in merge(results, allow_gaps=True)]
+    runs += [_judged(run) for run in merge(results, allow_gaps=True, protocols=protocols)]
     names = [(run["method"], run["dataset"]) for run in runs]
     for method, dataset in names:
         if names.count((method, dataset)) > 1:

@@ -10,6 +10,7 @@ from pytest_cpas.documents import (
     ChangeDocument,
     CountDocument,
     Document,
+    PairDocument,
     PrecisionDocument,
     PublishedCountDocument,
     PublishedMethodDocument,
@@ -130,6 +131,16 @@ def _lines(
         Line(method, paper, cells)
         for (method, paper, _), cells in zip(lines, zip(*ranked, strict=True), strict=True)
     ]
+
+
+def labels(entries: Sequence[_Entry]) -> list[str]:
+    """The labels of the columns of a run, or of two, in order."""
+    return list(dict.fromkeys(entry["threshold"] for entry in entries))
+
+
+def column_count(run: RunDocument | PairDocument) -> int:
+    """How many columns count samples, of those to be read and those to be guarded."""
+    return len(labels([*run["precision"], *run["guards"]]))
 
 
 def category_lines(entries: Sequence[_Entry]) -> Iterator[tuple[str, list[_Entry]]]:

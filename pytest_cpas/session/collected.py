@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_cpas.checks.contract import ContractResult
@@ -26,7 +26,7 @@ class ItemResult:
     def plain(self) -> dict[str, Any]:
         """As values that xdist can send; :meth:`of` reads them."""
         return {
-            "rows": [asdict(row) for row in self.rows],
+            "rows": [row.plain() for row in self.rows],
             "errors": self.errors,
             "contract": self.contract and self.contract.plain(),
         }
@@ -44,7 +44,7 @@ class ItemResult:
 def _row(values: dict[str, Any]) -> Row:
     # one object each, which the samples' references have already
     shared = {name: sys.intern(values[name]) for name in ("sample", "category")}
-    return Row(**{**values, **shared})
+    return Row.of({**values, **shared})
 
 
 class CollectedRun:

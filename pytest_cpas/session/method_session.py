@@ -29,6 +29,7 @@ from pytest_cpas.session.collected import CollectedRun, ItemResult
 from pytest_cpas.session.contract_stage import contract_stages
 from pytest_cpas.session.judging import JudgedRun, judge, record_run
 from pytest_cpas.session.options import RunOptions
+from pytest_cpas.session.protocol_names import resolve_protocols
 from pytest_cpas.session.reporting import Reporter
 from pytest_cpas.session.resolution import open_results, read_others, resolve_runs
 from pytest_cpas.session.suite_session import SuiteSession, grouped, report_outcome, usage_errors
@@ -65,11 +66,16 @@ class CpasSession(SuiteSession):
                 config.invocation_params.dir,
                 golden=golden_folder(config),
                 alarm=alarm_level(config),
+                protocols=resolve_protocols(
+                    config.option.cpas_protocol or config.getini("cpas_protocol"),
+                    config.invocation_params.dir,
+                    config.rootpath,
+                ),
             )
             runs = resolve_runs(options)
             files = open_results(options, runs)
             self.stages = contract_stages(runs)
-            others = read_others(options.others, runs) if self.is_controller else []
+            others = read_others(options, runs) if self.is_controller else []
         self.collected = {run: CollectedRun(run, files.get(run)) for run in runs}
         self._reporter = Reporter(
             require_golden=options.require_golden,

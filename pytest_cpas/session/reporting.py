@@ -67,7 +67,7 @@ class Reporter:
             {**told, "up_axes": up_axes(each.run, each.ordered_rows)}
             for each, told in zip(collected, documents, strict=True)
         ]
-        content = document(documents, failed_items)
+        content = document(documents, failed_items, collected[0].run.protocols if collected else ())
         if self.others:
             content["against"] = against(content["runs"], self.others)
         rows = {each.run: each.rows for each in collected}

@@ -43,7 +43,10 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     runs: list[Run] = []
     for make, dataset in itertools.product(methods, datasets):
         runs += _method_runs(make(), dataset, options)
-    runs += [StoredRun(path, selection=options.selection) for path in options.predictions]
+    runs += [
+        StoredRun(path, selection=options.selection, protocols=options.protocols)
+        for path in options.predictions
+    ]
     runs += _merged_runs(options, datasets)
     judged = {run.dataset for run in runs}
     if options.only_for_pictures and not judged.issuperset(dataset.name for dataset in datasets):
@@ -91,17 +94,22 @@ def open_results(options: RunOptions, runs: Sequence[Run]) -> dict[Run, ResultsF
     }
 
 
-def read_others(paths: Sequence[Path], runs: Sequence[Run]) -> list[RunDocument]:
+def read_others(options: RunOptions, runs: Sequence[Run]) -> list[RunDocument]:
     """The runs to compare with; that they fit ``runs`` is known before any of those is judged.
 
     Raises :class:`pytest_cpas.evaluation.ResultsError` and
     :class:`pytest_cpas.report.stored.StoredReportError`.
     """
-    if not paths:
+    if not options.others:
         return []
-    others = read_runs(paths)
+    others = read_runs(options.others, options.protocols)
     conditions: list[RunConditions] = [
-        {"method": run.method, "dataset": run.dataset, "identity": dict(run.identity)}
+        {
+            "method": run.method,
+            "dataset": run.dataset,
+            "identity": dict(run.identity),
+            "definitions": dict(run.definitions),
+        }
         for run in runs
     ]
     pairs(conditions, others)
@@ -131,6 +139,7 @@ def _method_runs(method: Method, dataset: Dataset, options: RunOptions) -> list[
             selection=options.selection,
             shared=runs[0] if runs else None,
             keeps_shapes=bool(options.report) and not options.robustness,
+            protocols=options.protocols,
         )
         runs.append(run)
     return runs
@@ -138,7 +147,7 @@ def _method_runs(method: Method, dataset: Dataset, options: RunOptions) -> list[
 
 def _merged_runs(options: RunOptions, datasets: Sequence[Dataset]) -> list[MergedRun]:
     """The runs in results files, each with its data set if that is at hand."""
-    runs = merge(options.merge, allow_gaps=options.allow_gaps)
+    runs = merge(options.merge, allow_gaps=options.allow_gaps, protocols=options.protocols)
     for run, dataset in itertools.product(runs, datasets):
         if dataset.name == run.dataset:
             run.take_images(dataset)

@@ -8,7 +8,7 @@ from pytest_cpas.documents import ChangeDocument, Document
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.messages import change_messages, pair_lines, pair_title, worst_flips_first
 from pytest_cpas.report.page._parts import flip_table, sample_link, table
-from pytest_cpas.report.tables import category_lines
+from pytest_cpas.report.tables import category_lines, column_count
 
 #: Differences between two runs that are less probable than this by chance are coloured.
 _TELLING = 0.05
@@ -44,7 +44,7 @@ def comparison(document: Document) -> Iterator[Element]:
             gained = sum(bool(flip["gained"]) for flip in pair["flips"])
             counts = ((lost, "lost since"), (gained, "gained since"))
             yield element("p", [sample_link(n, pair, verdict) for n, verdict in counts if n])
-            yield from flip_table(worst_flips_first(pair["flips"]))
+            yield from flip_table(worst_flips_first(pair["flips"]), column_count(pair))
     if against["unpaired"]:
         yield element("p", "Without a counterpart: ", ", ".join(against["unpaired"]))
 

@@ -32,8 +32,8 @@ def table(head: Sequence[Child], lines: Sequence[Element], *, text: bool = False
     )
 
 
-def flip_table(flips: Sequence[FlipDocument]) -> Iterator[Element]:
-    """Flips with their errors before and after, and how many more there are."""
+def flip_table(flips: Sequence[FlipDocument], every: int) -> Iterator[Element]:
+    """Flips with their errors before and after, and how many more there are; ``every``: columns."""
     yield table(
         ["sample", "category", "before", "now", "what changed"],
         [
@@ -43,7 +43,7 @@ def flip_table(flips: Sequence[FlipDocument]) -> Iterator[Element]:
                 element("td", flip["category"]),
                 element("td", flip["before"]),
                 element("td", flip["after"]),
-                element("td", flip_message(flip), class_="wrap"),
+                element("td", flip_message(flip, every), class_="wrap"),
             )
             for flip in flips[:_FLIPS]
         ],

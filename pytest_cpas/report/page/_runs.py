@@ -9,7 +9,7 @@ from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.messages import contract_message, flip_message, run_title, troubles
 from pytest_cpas.report.page._parts import badge, flip_table, table
-from pytest_cpas.report.tables import Cell, category_lines, other_cells
+from pytest_cpas.report.tables import Cell, category_lines, column_count, other_cells
 
 #: Runs of which the details are unfolded although nothing is wrong with them.
 _UNFOLDED = 2
@@ -50,12 +50,13 @@ def _troubles(run: RunDocument) -> Iterator[Element]:
         yield element("pre", "\n".join(lines))
     if run["flips"]:
         yield element("h3", "Judged otherwise than by the golden table")
-        yield from flip_table(run["flips"])
+        yield from flip_table(run["flips"], column_count(run))
 
 
 def _gallery(run: RunDocument, pictures: Mapping[str, bytes]) -> Child:
     samples = {sample["sample"]: sample for sample in run["samples"]}
-    flips = {flip["sample"]: flip_message(flip) for flip in run["flips"]}
+    every = column_count(run)
+    flips = {flip["sample"]: flip_message(flip, every) for flip in run["flips"]}
     figures = []
     for name, content in pictures.items():
         sample = samples[name]

@@ -55,6 +55,7 @@ def sample_data(document: Document) -> str:
     """What the script lists. No text in it can end the script element that it stands in."""
     pairs = document["against"]["pairs"] if "against" in document else []
     since = {(pair["method"], pair["dataset"]): pair["flips"] for pair in pairs}
+    columns = [*document["thresholds"], *document["guards"]]
     runs = []
     for run in document["runs"]:
         flips = {flip["sample"]: flip for flip in since.get((run["method"], run["dataset"]), ())}
@@ -71,12 +72,12 @@ def sample_data(document: Document) -> str:
                 _short(sample["fscore_1cm"]),
                 sample["error"] or sample["failure"],
                 sample["failure"] is not None,
-                _since(flips.get(sample["sample"]), document["thresholds"]),
+                _since(flips.get(sample["sample"]), columns),
             ]
             for sample in run["samples"]
         ]
         runs.append({"name": run_title(run), "categories": categories, "samples": samples})
-    data = {"thresholds": document["thresholds"], "runs": runs, "against": bool(pairs)}
+    data = {"thresholds": columns, "runs": runs, "against": bool(pairs)}
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from pytest_cpas.datasets.perturbed import PERTURBATIONS, SEVERITIES, RobustnessPoint
 from pytest_cpas.documents import RunDocument
-from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.report.terminal._table import print_table
 from pytest_cpas.types.samples import ALL
 
@@ -26,7 +25,8 @@ def print_robustness(
         terminal.section(f"robustness of {method} on {base}", bold=True)
         cells = {point: _cell(run) for point, run in points.items()}
         severities = [f"severity {severity}" for severity in range(SEVERITIES + 1)]
-        lines = [[f"correct at {THRESHOLDS[0].label}", *severities, "1, 2, 3 is"]]
+        first = next((e["threshold"] for run in points.values() for e in run["precision"]), "")
+        lines = [[f"correct at {first}", *severities, "1, 2, 3 is"]]
         for name, perturbation in PERTURBATIONS.items():
             if any(point.perturbation == name for point in cells):
                 shown = [RobustnessPoint(base)]
@@ -42,7 +42,7 @@ def print_robustness(
 
 def _cell(run: RunDocument) -> str:
     for cell in run["precision"]:
-        if (cell["category"], cell["threshold"]) == (ALL, THRESHOLDS[0].label):
+        if cell["category"] == ALL:  # in the first column
             count = cell["measured"]
             return f"{count['correct']}/{count['total']}" if count else "-"
     return "-"

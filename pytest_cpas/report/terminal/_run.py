@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import pytest
 
 from pytest_cpas.documents import (
     ContractDocument,
     CountDocument,
-    PrecisionDocument,
     RunDocument,
     SampleDocument,
     SpeedDocument,
     VerdictDocument,
 )
-from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.golden import Word
 from pytest_cpas.report.messages import (
     contract_message,
@@ -24,6 +22,9 @@ from pytest_cpas.report.messages import (
     verdict_message,
 )
 from pytest_cpas.report.terminal._table import FEW, print_table
+
+#: Characters of a line that is read at a glance.
+_WIDTH = 100
 
 #: Verdicts that are told in full, although they need not fail.
 _TOLD = (Word.RECORDED, Word.PROBABLY_WORSE)
@@ -44,7 +45,7 @@ def print_run(terminal: pytest.TerminalReporter, run: RunDocument, origin: str) 
     if run["judged"] and shows_samples(terminal.config, run["judged"]):
         print_table(terminal, _sample_lines(run["samples"]))
     if run["judged"]:
-        print_table(terminal, _precision_lines(run["precision"]))
+        _print_tables(terminal, run)
     terminal.write_line(judged_message(run))
     terminal.write_line(f"rows: {origin}")
     by_word: dict[str, list[VerdictDocument]] = {}
@@ -85,18 +86,64 @@ def _print_contract(terminal: pytest.TerminalReporter, results: Sequence[Contrac
         terminal.write_line(message, red=wrong)
 
 
-def _precision_lines(cells: Sequence[PrecisionDocument]) -> list[list[str]]:
-    lines = {"": ["correct", *(threshold.label for threshold in THRESHOLDS)]}
-    for cell in cells:
-        line = lines.setdefault(cell["category"], [cell["category"]])
-        line.append(_cell(cell["measured"]))
-    return list(lines.values())
+def _print_tables(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
+    """Counts as they are read, what is guarded in one line a category, and scores."""
+    counts = [(e["threshold"], e["category"], _cell(e["measured"])) for e in run["precision"]]
+    guards = [(e["threshold"], e["category"], _share(e["measured"])) for e in run["guards"]]
+    scores = [(e["score"], e["category"], _score(e["measured"])) for e in run["scores"]]
+    for first, cells in (("correct", counts), ("guards", guards), ("scores", scores)):
+        known = {label for label, _, cell in cells if cell != "n/a"}
+        # of the columns that are read, what is n/a is told; of the others, only what there is
+        shown = [cell for cell in cells if first == "correct" or cell[0] in known]
+        for protocol, own in _by_protocol(shown).items():
+            for lines in _tables(f"{protocol} {first}".strip(), own):
+                print_table(terminal, lines)
+
+
+#: A column's label, a category and what stands there.
+_TableCell = tuple[str, str, str]
+
+
+def _by_protocol(cells: Sequence[_TableCell]) -> dict[str, list[_TableCell]]:
+    """The cells of each protocol, whose name is taken off the labels; "" is the paper's."""
+    groups: dict[str, list[_TableCell]] = {}
+    for label, category, cell in cells:
+        protocol, _, own = label.rpartition(": ")
+        groups.setdefault(protocol, []).append((own, category, cell))
+    return groups
+
+
+def _tables(first: str, cells: Sequence[_TableCell]) -> Iterator[list[list[str]]]:
+    """Tables of (column, category, cell) with as many columns as are readable side by side."""
+    categories = list(dict.fromkeys(category for _, category, _ in cells))
+    names = max(map(len, [first, *categories]))
+    columns: dict[str, list[str]] = {}
+    for label, _, cell in cells:
+        columns.setdefault(label, [label]).append(cell)
+    table, width = [[first, *categories]], names
+    for column in columns.values():
+        widest = 2 + max(map(len, column))
+        if width + widest > _WIDTH and len(table) > 1:
+            yield [list(line) for line in zip(*table, strict=True)]
+            table, width = [[first, *categories]], names
+        table.append(column)
+        width += widest
+    if len(table) > 1:
+        yield [list(line) for line in zip(*table, strict=True)]
 
 
 def _cell(count: CountDocument | None) -> str:
     if count is None:
         return "n/a"
     return f"{count['correct']}/{count['total']} {100 * count['correct'] / count['total']:5.1f} %"
+
+
+def _share(count: CountDocument | None) -> str:
+    return "n/a" if count is None else f"{100 * count['correct'] / count['total']:.1f} %"
+
+
+def _score(value: float | None) -> str:
+    return "n/a" if value is None else f"{value:.4g}"
 
 
 def _sample_lines(samples: Sequence[SampleDocument]) -> list[list[str]]:

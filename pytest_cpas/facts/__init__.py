@@ -1,0 +1,22 @@
+"""What is measured of one answer: named facts, each with the id of its definition.
+
+A fact is a number about one answer beside the truth, never a judgement: what is made of facts is
+:mod:`pytest_cpas.protocols`'s.
+"""
+
+from pytest_cpas.facts.answers import AnswerBatch, declared_part
+from pytest_cpas.facts.catalogue import Fact, FactError, Facts, all_facts, fact, in_order
+from pytest_cpas.facts.measuring import failed_facts, measure_facts
+
+__all__ = [
+    "AnswerBatch",
+    "Fact",
+    "FactError",
+    "Facts",
+    "all_facts",
+    "declared_part",
+    "fact",
+    "failed_facts",
+    "in_order",
+    "measure_facts",
+]

@@ -1,0 +1,129 @@
+"""Answers beside their truths, as arrays: what facts are computed from."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pytest_cpas.metrics.surfaces import Surface, SurfaceErrors, surface_errors
+from pytest_cpas.types import (
+    AnswerError,
+    Array,
+    DataError,
+    GroundTruth,
+    Hypothesis,
+    Mesh,
+    Symmetry,
+    raised_as,
+)
+
+__all__ = ["AnswerBatch", "declared_part"]
+
+#: A box as three arrays: rotation (n, 3, 3), translation (n, 3) and extents (n, 3), metres.
+Boxes = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerBatch:
+    """n answers, in the standard frames, and the truth about each; all of one ``symmetry``.
+
+    What several facts need is computed once, when it is first asked for.
+    """
+
+    truths: Sequence[GroundTruth]
+    estimates: Sequence[Hypothesis]
+    symmetry: Symmetry
+
+    def __len__(self) -> int:
+        return len(self.truths)
+
+    @functools.cached_property
+    def rotations(self) -> tuple[Array, Array]:
+        """Estimated and true, (n, 3, 3) each."""
+        return (
+            np.stack([h.rotation for h in self.estimates]),
+            np.stack([t.pose.rotation for t in self.truths]),
+        )
+
+    @functools.cached_property
+    def translations(self) -> tuple[Array, Array]:
+        """Estimated and true, (n, 3) each, metres."""
+        return (
+            np.stack([h.translation for h in self.estimates]),
+            np.stack([t.pose.translation for t in self.truths]),
+        )
+
+    @functools.cached_property
+    def extents(self) -> tuple[Array, Array]:
+        """Estimated and true, (n, 3) each, metres; :class:`AnswerError` for one without any."""
+        return (
+            np.stack([declared_part(h.extents, "extents") for h in self.estimates]),
+            np.stack([t.extents for t in self.truths]),
+        )
+
+    @property
+    def boxes(self) -> tuple[Boxes, Boxes]:
+        """The estimated boxes and the true ones."""
+        parts = self.rotations, self.translations, self.extents
+        estimated, true = zip(*parts, strict=True)
+        return estimated, true
+
+    @functools.cached_property
+    def surfaces(self) -> Sequence[SurfaceErrors | None]:
+        """The posed surfaces side by side; None where the data set has no true one.
+
+        Raises :class:`AnswerError` for an estimate without a shape, or with one that has no area;
+        :class:`DataError` for such a truth.
+        """
+        return [
+            _surface_errors(truth, estimate)
+            for truth, estimate in zip(self.truths, self.estimates, strict=True)
+        ]
+
+    def of_surfaces(self, fact: Callable[[SurfaceErrors], float]) -> Sequence[float | None]:
+        """A fact of every pair of surfaces; None where there is none."""
+        return [None if errors is None else float(fact(errors)) for errors in self.surfaces]
+
+
+def declared_part(value: Any, part: str) -> Any:
+    """A part of a hypothesis that its method declares; :class:`AnswerError` if it is not there."""
+    if value is None:
+        raise AnswerError(
+            f"hypothesis: {part} is None, but info.gives has {part!r}; give it or do not declare it"
+        )
+    return value
+
+
+def _surface_errors(truth: GroundTruth, estimate: Hypothesis) -> SurfaceErrors | None:
+    if truth.surface is None:
+        return None
+    with raised_as(DataError):
+        true_surface = _truth_surface(_Same(truth.surface))
+    with raised_as(AnswerError):
+        # another seed than the truth's: two samplings of one mesh must not coincide
+        surface = Surface.of(declared_part(estimate.shape, "shape"), seed=1)
+    return surface_errors(
+        true_surface, surface, truth_pose=truth.pose, estimated_pose=estimate.pose
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Same:
+    """A surface as a key of a cache: equal if it is the same object."""
+
+    surface: Mesh | Array
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.surface is other.surface
+
+    def __hash__(self) -> int:
+        return id(self.surface)
+
+
+@functools.lru_cache(maxsize=256)
+def _truth_surface(same: _Same) -> Surface:
+    return Surface.of(same.surface, seed=0)

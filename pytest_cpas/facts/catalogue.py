@@ -1,0 +1,204 @@
+"""The catalogue of facts: what each is called, means, needs, and how it is computed."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.facts.answers import AnswerBatch
+from pytest_cpas.metrics.boxes import symmetric_iou
+from pytest_cpas.metrics.definitions import definition
+from pytest_cpas.metrics.pose import rotation_error, translation_error
+from pytest_cpas.metrics.surfaces import SAMPLE_COUNT
+from pytest_cpas.types import Array, ContractError
+
+__all__ = ["Fact", "FactError", "Facts", "all_facts", "fact", "in_order"]
+
+#: The facts of one answer by name; None is n/a.
+Facts: TypeAlias = Mapping[str, float | None]
+
+#: What a method must give for a fact to be known.
+Part: TypeAlias = Literal["extents", "shape"]
+
+
+class FactError(ContractError):
+    """A name that no fact has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fact:
+    """A number about one answer.
+
+    ``definition``: the id of what it means; ``unit``: "m", "deg" or "" (none); ``better``: which
+    direction is the better one; ``needs``: what a method must give for it; ``pattern``: a limit on
+    it for people, of which ``factor`` times the limit is shown; ``compute``: of the answers of a
+    batch, None where it is n/a.
+    """
+
+    name: str
+    definition: str
+    unit: Literal["m", "deg", ""]
+    better: Literal["lower", "higher"]
+    pattern: str
+    compute: Callable[[AnswerBatch], Sequence[float | None]]
+    needs: frozenset[Part] = frozenset()
+    factor: float = 1.0
+
+    @property
+    def failed(self) -> float:
+        """Of a sample without an answer: it meets no limit."""
+        return -math.inf if self.better == "higher" else math.inf
+
+    def limit_label(self, limit: float) -> str:
+        """A limit for people: ``10 deg``, ``2 cm``, ``IoU 0.5``."""
+        return self.pattern.format(f"{self.factor * limit:.10g}")
+
+    def meets(self, values: Array, limit: float) -> NDArray[np.bool_]:
+        """Which values are on the better side of a limit, or on it; NaN is not."""
+        return values >= limit if self.better == "higher" else values <= limit
+
+
+def fact(name: str) -> Fact:
+    """The fact of a name; F-scores are called ``fscore_1cm``, ``fscore_5mm``, at any distance.
+
+    Raises :class:`FactError` that lists the names.
+    """
+    if name in _FACTS:
+        return _FACTS[name]
+    if match := re.fullmatch(r"fscore_([1-9]\d{0,3})(mm|cm)", name):
+        return _fscore(name, int(match[1]), match[2])
+    raise FactError(
+        f"there is no fact {name!r}; expected one of {', '.join(_FACTS)}, or fscore_ and a distance"
+        " in whole mm or cm, such as fscore_1cm"
+    )
+
+
+def all_facts() -> list[Fact]:
+    """Every fact, of the F-scores that of the paper, in the order in which they are told."""
+    facts = list(_FACTS.values())
+    facts.insert(3, fact("fscore_1cm"))
+    return facts
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names of facts, each once, in the order of :func:`all_facts`; other F-scores come last."""
+    known, given = [made.name for made in all_facts()], set(names)
+    return [name for name in known if name in given] + sorted(given.difference(known))
+
+
+@functools.cache
+def _fscore(name: str, distance: int, unit: str) -> Fact:
+    metres = distance / {"mm": 1000, "cm": 100}[unit]
+    # the paper's distance is its F-score: no need to name it
+    told = "F" if metres == 0.01 else f"F({distance} {unit})"
+    return Fact(
+        name,
+        definition("fscore", "strict").id(delta_m=metres, frame="camera", points=SAMPLE_COUNT),
+        "",
+        "higher",
+        told + " {}",
+        lambda batch: batch.of_surfaces(lambda errors: float(errors.fscore(metres))),
+        frozenset({"shape"}),
+    )
+
+
+def _rotation(batch: AnswerBatch) -> Sequence[float]:
+    errors: list[float] = np.degrees(rotation_error(*batch.rotations, batch.symmetry)).tolist()
+    return errors
+
+
+def _position(batch: AnswerBatch) -> Sequence[float]:
+    errors: list[float] = translation_error(*batch.translations).tolist()
+    return errors
+
+
+def _iou(batch: AnswerBatch) -> Sequence[float]:
+    estimated, true = batch.boxes
+    ious: list[float] = symmetric_iou(*estimated, *true, batch.symmetry).tolist()
+    return ious
+
+
+def _of_surface(name: str, variant: str) -> str:
+    return definition(name, variant).id(frame="camera", points=SAMPLE_COUNT)
+
+
+_BOX: frozenset[Part] = frozenset({"extents"})
+_SHAPE: frozenset[Part] = frozenset({"shape"})
+
+_FACTS: Mapping[str, Fact] = {
+    made.name: made
+    for made in (
+        Fact(
+            "position_m",
+            definition("translation_error", "euclidean").id(),
+            "m",
+            "lower",
+            "{} cm",
+            _position,
+            factor=100,
+        ),
+        Fact(
+            "rotation_deg",
+            definition("rotation_error", "symmetry-group").id(),
+            "deg",
+            "lower",
+            "{} deg",
+            _rotation,
+        ),
+        Fact(
+            "iou",
+            definition("iou", "oriented-symmetric").id(),
+            "",
+            "higher",
+            "IoU {}",
+            _iou,
+            _BOX,
+        ),
+        Fact(
+            "nad",
+            _of_surface("nad", "own-diameters"),
+            "",
+            "lower",
+            "NAD {}",
+            lambda batch: batch.of_surfaces(lambda errors: errors.nad),
+            _SHAPE,
+        ),
+        Fact(
+            "cd_m",
+            _of_surface("cd", "mean"),
+            "m",
+            "lower",
+            "CD {} mm",
+            lambda batch: batch.of_surfaces(lambda errors: errors.chamfer),
+            _SHAPE,
+            factor=1000,
+        ),
+        Fact(
+            "ad_to_estimate_m",
+            _of_surface("ad", "truth-to-estimate"),
+            "m",
+            "lower",
+            "AD(S->S~) {} mm",
+            lambda batch: batch.of_surfaces(lambda errors: errors.ad_truth_to_estimate),
+            _SHAPE,
+            factor=1000,
+        ),
+        Fact(
+            "ad_to_truth_m",
+            _of_surface("ad", "estimate-to-truth"),
+            "m",
+            "lower",
+            "AD(S~->S) {} mm",
+            lambda batch: batch.of_surfaces(lambda errors: errors.ad_estimate_to_truth),
+            _SHAPE,
+            factor=1000,
+        ),
+    )
+}

@@ -1,0 +1,162 @@
+"""Golden tables in the form of version 1, which knew four columns: ``table.toml`` with the cells
+and ``samples.csv`` with the outcomes at those and the errors under the first seed.
+
+They are judged as far as they go, and named as ones to record anew.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from pytest_cpas.evaluation import Answer
+from pytest_cpas.facts import fact
+from pytest_cpas.golden.tables import GoldenError, RunTable, TableSample
+from pytest_cpas.protocols import (
+    PAPER,
+    CountColumn,
+    Protocol,
+    count_columns,
+    judge_outcomes,
+    shipped_protocol,
+)
+
+__all__ = ["OLDER_SAMPLES", "OLDER_TABLE", "parse_older"]
+
+OLDER_TABLE, OLDER_SAMPLES = "table.toml", "samples.csv"
+
+_FORMAT = 2
+
+_COLUMNS = (
+    "sample",
+    "category",
+    "outcome",
+    "repeats",
+    "translation_error_m",
+    "rotation_error_deg",
+    "iou",
+    "fscore_1cm",
+    "failure",
+)
+
+#: What the errors are called now, in their order, and how their definitions were.
+_FACTS = {
+    "position_m": "translation_error",
+    "rotation_deg": "rotation_error",
+    "iou": "iou",
+    "fscore_1cm": "fscore_1cm",
+}
+
+#: The columns that have outcomes, in the order of their characters.
+_JUDGED = ("10deg_2cm", "10deg_2cm_f60", "5deg_1cm", "5deg_1cm_f80")
+
+
+def parse_older(method: str, dataset: str, table_toml: str, samples_csv: str) -> RunTable:
+    """A table from the texts of its two files; :class:`GoldenError` if they are none."""
+    try:
+        content: dict[str, Any] = tomllib.loads(table_toml)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise GoldenError(f"{OLDER_TABLE}: {error}") from error
+    if content.get("format") != _FORMAT:
+        raise GoldenError(f"{OLDER_TABLE}: format is {content.get('format')!r}, expected {_FORMAT}")
+    seeds = content.get("seeds")
+    if type(seeds) is not int or seeds < 1:
+        raise GoldenError(f"{OLDER_TABLE}: seeds is {seeds!r}, expected at least 1")
+    sections = [content.get(name, 0) for name in ("identity", "provenance", "cells")]
+    for section in sections:
+        if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
+            raise GoldenError(f"{OLDER_TABLE}: [identity], [provenance], [cells] must hold strings")
+    identity, provenance, cells = sections
+    if content.get("samples_sha256") != hashlib.sha256(samples_csv.encode()).hexdigest():
+        raise GoldenError(f"{OLDER_SAMPLES} is not the file that {OLDER_TABLE} was made with")
+    lines = csv.reader(io.StringIO(samples_csv, newline=""))
+    try:
+        if tuple(next(lines, ())) != _COLUMNS:
+            raise ValueError(f"expected the columns {', '.join(_COLUMNS)}")
+        read = {line[0]: _sample(line, seeds) for line in lines}
+    except (ValueError, IndexError, csv.Error) as error:
+        raise GoldenError(f"{OLDER_SAMPLES}: {error}") from error
+    only_first = any(sample.wavers for sample in read.values())
+    protocol = _protocol(only_first)
+    names = {then: now for now, then in _FACTS.items()}
+    samples = read if only_first else _judged(protocol, read, seeds)
+    table = RunTable(
+        method=method,
+        dataset=dataset,
+        identity={key: value for key, value in identity.items() if key not in names},
+        definitions={now: identity[then] for then, now in names.items() if then in identity},
+        provenance=provenance,
+        protocols=[protocol],
+        samples=samples,
+        listed=Counter(sample.category for sample in samples.values()),
+        seeds=seeds,
+        outdated=True,
+    )
+    if cells != _cells(table):
+        raise GoldenError(f"the cells of {OLDER_TABLE} are not the sums of {OLDER_SAMPLES}")
+    return table
+
+
+def _sample(line: Sequence[str], seeds: int) -> TableSample:
+    _, category, outcome, repeats, *errors, failure = line
+    outcomes = (outcome, *repeats.split())
+    if len(outcomes) not in (1, seeds) or any(
+        not re.fullmatch(r"[01-]{4}", each) for each in outcomes
+    ):
+        raise ValueError(f"outcomes {' '.join(outcomes)}")
+    facts = {
+        name: float(value) if value else None for name, value in zip(_FACTS, errors, strict=True)
+    }
+    return TableSample(
+        category=category,
+        answers=(Answer(facts=facts, failure=failure or None),),
+        outcomes=outcomes if len(outcomes) == seeds else (outcome,) * seeds,
+    )
+
+
+def _protocol(only_first: bool) -> Protocol:
+    """What of the default protocol these tables can be judged by.
+
+    Where seeds disagree, the errors of only one are known: what they do not decide is left out.
+    """
+    protocol = shipped_protocol(PAPER)
+    columns: list[CountColumn] = []
+    for column in protocol.counts:
+        known = {made.name for made in column.facts} <= _FACTS.keys()
+        if column.id in _JUDGED or (known and not only_first):
+            columns.append(column)
+    return replace(protocol, columns=columns)
+
+
+def _judged(
+    protocol: Protocol, samples: dict[str, TableSample], seeds: int
+) -> dict[str, TableSample]:
+    """The samples with outcomes at all columns: those that were recorded, then the others."""
+    columns = count_columns([protocol])
+    outcomes = judge_outcomes(columns, [sample.facts for sample in samples.values()])
+    return {
+        name: replace(sample, outcomes=(sample.outcome + outcome[len(_JUDGED) :],) * seeds)
+        for (name, sample), outcome in zip(samples.items(), outcomes, strict=True)
+    }
+
+
+def _cells(table: RunTable) -> dict[str, str]:
+    told = {}
+    for category, counts in table.table.items():
+        for column in table.columns:
+            if column.id in _JUDGED:
+                count = counts[column.key]
+                cell = "n/a" if count is None else f"{count.correct}/{count.total}"
+                told[f"{category} | {_label(column)}"] = cell
+    return told
+
+
+def _label(column: CountColumn) -> str:
+    return ", ".join(fact(name).limit_label(limit) for name, limit in column.limits.items())

@@ -1,0 +1,42 @@
+"""What is made of facts: protocols, each a name, a version and columns, and a pure judge."""
+
+from pytest_cpas.protocols.columns import (
+    Column,
+    CountColumn,
+    Protocol,
+    ProtocolError,
+    ScoreColumn,
+)
+from pytest_cpas.protocols.files import PAPER, read_protocol, shipped_protocol, shipped_protocols
+from pytest_cpas.protocols.judging import (
+    Score,
+    ScoreTable,
+    Table,
+    count_columns,
+    count_table,
+    facts_of,
+    judge_outcomes,
+    score_columns,
+    score_table,
+)
+
+__all__ = [
+    "PAPER",
+    "Column",
+    "CountColumn",
+    "Protocol",
+    "ProtocolError",
+    "Score",
+    "ScoreColumn",
+    "ScoreTable",
+    "Table",
+    "count_columns",
+    "count_table",
+    "facts_of",
+    "judge_outcomes",
+    "read_protocol",
+    "score_columns",
+    "score_table",
+    "shipped_protocol",
+    "shipped_protocols",
+]

@@ -1,0 +1,253 @@
+"""Protocols as data: columns of tables, each with a stable id apart from its label."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+from pytest_cpas.facts import Fact, FactError, fact
+from pytest_cpas.types import ContractError
+
+__all__ = ["Column", "CountColumn", "Protocol", "ProtocolError", "ScoreColumn"]
+
+#: The most that a limit may be, by the unit of its fact; what lies beyond is taken for a mistake.
+_LARGEST: Mapping[str, float] = {"deg": 180.0, "m": 100.0, "": 1000.0}
+
+
+class ProtocolError(ContractError):
+    """What is declared of a protocol is not what it must be."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Column:
+    """What all kinds of columns have.
+
+    ``protocol``: the name of the one that it belongs to; ``id``: what it is called in files, for
+    ever; ``label``: the same for people; ``guard``: whether it is there to be guarded more than to
+    be read.
+    """
+
+    protocol: str
+    id: str
+    label: str
+    guard: bool = False
+
+    @property
+    def key(self) -> str:
+        """The id, among the columns of all protocols."""
+        return f"{self.protocol}.{self.id}"
+
+    def declared(self) -> dict[str, object]:
+        """As the ``[[columns]]`` table of a file has it."""
+        return {"id": self.id, "label": self.label, **({"guard": True} if self.guard else {})}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountColumn(_Column):
+    """How many samples meet all ``limits``, by fact: precision at a joint threshold."""
+
+    limits: Mapping[str, float]
+
+    def declared(self) -> dict[str, object]:
+        """As the ``[[columns]]`` table of a file has it."""
+        return {**super().declared(), "at": dict(self.limits)}
+
+    @property
+    def conditions(self) -> list[tuple[Fact, float]]:
+        """Each fact, and the limit on it."""
+        return [(fact(name), limit) for name, limit in self.limits.items()]
+
+    @property
+    def facts(self) -> tuple[Fact, ...]:
+        """What it is judged by."""
+        return tuple(made for made, _ in self.conditions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreColumn(_Column):
+    """The mean, or the median, of a number per sample.
+
+    With ``areas``: the mean of the share of thresholds that the sample meets, of each fact from one
+    to the other, multiplied. Of one fact it is the area under the precision curve (AUC), of two the
+    volume under the surface (VUS), over its width. ``bins``: the midpoint sum of so many thresholds
+    per fact, 0 for the integral. With ``median``: the median of that fact over the samples.
+    """
+
+    areas: Mapping[str, tuple[float, float]]
+    bins: int = 0
+    median: str = ""
+
+    def declared(self) -> dict[str, object]:
+        """As the ``[[columns]]`` table of a file has it."""
+        if self.median:
+            return {**super().declared(), "median": self.median}
+        area = {name: list(ends) for name, ends in self.areas.items()}
+        return {**super().declared(), "area": area, **({"bins": self.bins} if self.bins else {})}
+
+    @property
+    def facts(self) -> tuple[Fact, ...]:
+        """What it is judged by."""
+        return tuple(map(fact, [*self.areas, *filter(None, [self.median])]))
+
+    @property
+    def better(self) -> Literal["lower", "higher"]:
+        """Which direction is the better one."""
+        return fact(self.median).better if self.median else "higher"
+
+
+Column: TypeAlias = CountColumn | ScoreColumn
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """A way to judge answers that has a name.
+
+    ``version`` is raised whenever a change of its columns changes a printed number; ``title`` and
+    ``source`` say for people what it is, and where it comes from.
+    """
+
+    name: str
+    version: int
+    title: str
+    source: str
+    columns: Sequence[Column]
+
+    @classmethod
+    def parse(cls, content: Mapping[str, object], where: str) -> Protocol:
+        """From the content of a TOML file; :class:`ProtocolError` names ``where`` and what."""
+        return _Parser(content, where).protocol()
+
+    @property
+    def counts(self) -> list[CountColumn]:
+        """The columns that count samples."""
+        return [column for column in self.columns if isinstance(column, CountColumn)]
+
+    @property
+    def scores(self) -> list[ScoreColumn]:
+        """The columns that have a number per sample."""
+        return [column for column in self.columns if isinstance(column, ScoreColumn)]
+
+
+class _Parser:
+    """The content of a protocol's file, checked piece by piece."""
+
+    def __init__(self, content: Mapping[str, object], where: str) -> None:
+        self.content, self.where = content, where
+
+    def fail(self, told: str) -> ProtocolError:
+        return ProtocolError(f"{self.where}: {told}")
+
+    def text(self, section: Mapping[str, object], key: str, default: str | None = None) -> str:
+        value = section.get(key, default)
+        if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
+            raise self.fail(f"{key} is {str(value)[:80]!r}, expected a line of text")
+        return value
+
+    def known(self, section: Mapping[str, object], keys: Sequence[str], what: str) -> None:
+        for key in section:
+            if key not in keys:
+                raise self.fail(f"{what} has {key!r}; it knows {', '.join(keys)}")
+
+    def protocol(self) -> Protocol:
+        self.known(self.content, ("name", "version", "title", "source", "columns"), "a protocol")
+        name = self.text(self.content, "name")
+        if not re.fullmatch(r"[a-z][a-z0-9-]{0,39}", name):
+            raise self.fail(
+                f"name is {name!r}, expected up to 40 small letters, digits and '-', a letter first"
+            )
+        version = self.content.get("version", 1)
+        if type(version) is not int or version < 1:
+            raise self.fail(f"version is {version!r}, expected a whole number from 1")
+        sections = self.content.get("columns")
+        if not isinstance(sections, list) or not sections:
+            raise self.fail("columns is empty or missing, expected [[columns]] tables")
+        columns = [self.column(name, section) for section in sections]
+        for kind in ("id", "label"):
+            seen = [getattr(column, kind) for column in columns]
+            for value in seen:
+                if seen.count(value) > 1:
+                    raise self.fail(f"two columns have the {kind} {value!r}")
+        return Protocol(
+            name=name,
+            version=version,
+            title=self.text(self.content, "title", name),
+            source=self.text(self.content, "source", ""),
+            columns=columns,
+        )
+
+    def column(self, protocol: str, section: object) -> Column:
+        if not isinstance(section, dict):
+            raise self.fail(f"a column is {section!r}, expected a [[columns]] table")
+        self.known(section, ("id", "label", "guard", "at", "area", "bins", "median"), "a column")
+        name = self.text(section, "id")
+        if not re.fullmatch(r"[a-z0-9][a-z0-9_]{0,59}", name):
+            raise self.fail(f"id is {name!r}, expected up to 60 small letters, digits and '_'")
+        guard = section.get("guard", False)
+        if not isinstance(guard, bool):
+            raise self.fail(f"column {name}: guard is {guard!r}, expected true or false")
+        kinds = [kind for kind in ("at", "area", "median") if kind in section]
+        if len(kinds) != 1:
+            raise self.fail(
+                f"column {name} has {' and '.join(kinds) or 'no judgement'}, expected one of at"
+                " (limits), area (from and to) and median (a fact)"
+            )
+        if "bins" in section and kinds != ["area"]:
+            raise self.fail(f"column {name}: bins belong to an area")
+        common = functools.partial(dict[str, Any], protocol=protocol, id=name, guard=guard)
+        if kinds == ["at"]:
+            limits = {
+                made.name: self.limit(name, made, value)
+                for made, value in self.facts(name, section["at"])
+            }
+            label = ", ".join(fact(key).limit_label(limit) for key, limit in limits.items())
+            return CountColumn(**common(label=self.text(section, "label", label)), limits=limits)
+        if kinds == ["median"]:
+            made = self.fact(name, section["median"])
+            label = self.text(section, "label", f"median {made.name}")
+            return ScoreColumn(**common(label=label), areas={}, median=made.name)
+        areas = {
+            made.name: self.ends(name, made, value)
+            for made, value in self.facts(name, section["area"])
+        }
+        bins = section.get("bins", 0)
+        if type(bins) is not int or not 0 <= bins <= 10_000:
+            raise self.fail(f"column {name}: bins is {bins!r}, expected a whole number to 10000")
+        told = " x ".join(
+            f"{fact(key).limit_label(start)} to {fact(key).limit_label(stop)}"
+            for key, (start, stop) in areas.items()
+        )
+        label = self.text(section, "label", f"area from {told}")
+        return ScoreColumn(**common(label=label), areas=areas, bins=bins)
+
+    def fact(self, column: str, name: object) -> Fact:
+        try:
+            return fact(str(name))
+        except FactError as error:
+            raise self.fail(f"column {column}: {error}") from None
+
+    def facts(self, column: str, section: object) -> list[tuple[Fact, object]]:
+        if not isinstance(section, dict) or not section:
+            raise self.fail(f"column {column}: {section!r}, expected facts and their limits")
+        return [(self.fact(column, name), value) for name, value in section.items()]
+
+    def limit(self, column: str, made: Fact, value: object) -> float:
+        largest = 1.0 if made.better == "higher" else _LARGEST[made.unit]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.fail(f"column {column}: {made.name} is {value!r}, expected a number")
+        if not 0 <= value <= largest:
+            unit = f" {made.unit}" if made.unit else ""
+            raise self.fail(
+                f"column {column}: {made.name} is {value}{unit}, expected 0 to {largest:g}{unit}"
+            )
+        return float(value)
+
+    def ends(self, column: str, made: Fact, value: object) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise self.fail(f"column {column}: {made.name} is {value!r}, expected [from, to]")
+        start, stop = (self.limit(column, made, end) for end in value)
+        if not start < stop:
+            raise self.fail(f"column {column}: {made.name} runs from {start:g} to {stop:g}")
+        return start, stop
