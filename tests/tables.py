@@ -1,6 +1,9 @@
 """Ten made-up samples, and the tables of runs on them."""
 
-from pytest_cpas.evaluation import Row, Run
+from dataclasses import replace
+
+from pytest_cpas.evaluation import Answer, Row, Run
+from pytest_cpas.facts import fact
 from pytest_cpas.golden import RunTable
 from pytest_cpas.types import SampleRef
 
@@ -19,17 +22,35 @@ def a_run(**identity: str) -> Run:
     return Fixed("m", "d", REFS, identity={"data": "x", **identity})
 
 
+#: The facts of an answer that is right everywhere.
+FACTS = {
+    "position_m": 0.005,
+    "rotation_deg": 4.0,
+    "iou": 0.9,
+    "fscore_1cm": 0.95,
+    "nad": 0.01,
+}
+
+
+def a_row(sample: str, category: str, *, failure: str | None = None, **facts: float | None) -> Row:
+    """A row of one seed, with :data:`FACTS` but for what is given."""
+    if failure is not None:
+        facts = {name: fact(name).failed for name in FACTS} | facts
+    answer = Answer(facts={**FACTS, **facts}, failure=failure)
+    return Row(sample=sample, category=category, answers=(answer,))
+
+
+def with_facts(row: Row, **facts: float | None) -> Row:
+    """The row with other facts under its first seed."""
+    first, *further = row.answers
+    first = replace(first, facts={**first.facts, **facts})
+    return replace(row, answers=(first, *further))
+
+
 def rows(**rotation: float) -> list[Row]:
     """Rows with a rotation error of 4 degrees, or as given for "s_03" (sample s/03)."""
     return [
-        Row(
-            sample=ref.id,
-            category=ref.category,
-            translation_error=0.005,
-            rotation_error=rotation.get(ref.id.replace("/", "_"), 4.0),
-            iou=0.9,
-            fscore_1cm=0.95,
-        )
+        a_row(ref.id, ref.category, rotation_deg=rotation.get(ref.id.replace("/", "_"), 4.0))
         for ref in REFS
     ]
 

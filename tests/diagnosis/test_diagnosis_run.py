@@ -19,11 +19,11 @@ CAUSE = "your camera frame is OpenGL's, not OpenCV's, and your object frame is N
 def rows(correct, total, iou=1.0):
     """``correct`` of ``total`` mugs within 1 cm."""
     return [
-        Row(
+        a_row(
             sample=f"{i}",
             category="mug",
-            translation_error=0.01 if i < correct else 0.1,
-            rotation_error=1,
+            position_m=0.01 if i < correct else 0.1,
+            rotation_deg=1,
             iou=iou,
             fscore_1cm=None,
         )
@@ -46,11 +46,11 @@ def test_far_below(correct, expected, far):
 
 def test_far_below_in_one_category_alone():
     bowls = [
-        Row(
+        a_row(
             sample=f"b{i}",
             category="bowl",
-            translation_error=0.01,
-            rotation_error=1,
+            position_m=0.01,
+            rotation_deg=1,
             iou=None,
             fscore_1cm=None,
         )

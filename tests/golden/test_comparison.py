@@ -21,43 +21,21 @@ def words(verdicts):
 
 def test_outcomes_follow_the_four_thresholds():
     cases = [
-        Row(
-            sample="a",
-            category="mug",
-            translation_error=0.01,
-            rotation_error=5.0,
-            iou=1,
-            fscore_1cm=0.8,
+        a_row(sample="a", category="mug", position_m=0.01, rotation_deg=5.0, iou=1, fscore_1cm=0.8),
+        a_row(
+            sample="b", category="mug", position_m=0.01, rotation_deg=5.0001, iou=1, fscore_1cm=0.8
         ),
-        Row(
-            sample="b",
-            category="mug",
-            translation_error=0.01,
-            rotation_error=5.0001,
-            iou=1,
-            fscore_1cm=0.8,
+        a_row(
+            sample="c", category="mug", position_m=0.0101, rotation_deg=5.0, iou=1, fscore_1cm=0.5
         ),
-        Row(
-            sample="c",
-            category="mug",
-            translation_error=0.0101,
-            rotation_error=5.0,
-            iou=1,
-            fscore_1cm=0.5,
+        a_row(
+            sample="d", category="mug", position_m=0.03, rotation_deg=5.0, iou=1, fscore_1cm=None
         ),
-        Row(
-            sample="d",
-            category="mug",
-            translation_error=0.03,
-            rotation_error=5.0,
-            iou=1,
-            fscore_1cm=None,
-        ),
-        Row(
+        a_row(
             sample="e",
             category="mug",
-            translation_error=FAILED["position_m"],
-            rotation_error=FAILED["rotation_deg"],
+            position_m=FAILED["position_m"],
+            rotation_deg=FAILED["rotation_deg"],
             iou=None,
             fscore_1cm=FAILED["fscore"],
             failure="no",
@@ -71,11 +49,11 @@ def test_outcomes_follow_the_four_thresholds():
     assert table["all"] == table["mug"]
     assert outcomes(
         [
-            Row(
+            a_row(
                 sample="a",
                 category="mug",
-                translation_error=0.01,
-                rotation_error=5.0,
+                position_m=0.01,
+                rotation_deg=5.0,
                 iou=None,
                 fscore_1cm=None,
             )
@@ -138,11 +116,11 @@ def test_samples_that_the_table_lacks_are_a_change():
 
 def test_shape_that_becomes_na_is_a_change():
     without = [
-        Row(
+        a_row(
             sample=r.sample,
             category=r.category,
-            translation_error=0.005,
-            rotation_error=4.0,
+            position_m=0.005,
+            rotation_deg=4.0,
             iou=0.9,
             fscore_1cm=None,
         )
@@ -230,11 +208,11 @@ def large():
     run = Fixed("m", "d", refs, identity={})
     angles = np.random.default_rng(0).uniform(0, 20, REAL275_SIZE)
     rows = [
-        Row(
+        a_row(
             sample=ref.id,
             category="mug",
-            translation_error=0.005,
-            rotation_error=float(angle),
+            position_m=0.005,
+            rotation_deg=float(angle),
             iou=0.9,
             fscore_1cm=0.95,
         )

@@ -18,20 +18,20 @@ from pytest_cpas.metrics.precision import FAILED
 
 def test_what_is_written_is_read(tmp_path):
     odd = rows()
-    odd[0] = Row(
+    odd[0] = a_row(
         sample="s/00",
         category="can",
-        translation_error=FAILED["position_m"],
-        rotation_error=FAILED["rotation_deg"],
+        position_m=FAILED["position_m"],
+        rotation_deg=FAILED["rotation_deg"],
         iou=FAILED["iou"],
         fscore_1cm=FAILED["fscore"],
         failure='commas, "quotes"\nand lines',
     )
-    odd[1] = Row(
+    odd[1] = a_row(
         sample="s/01",
         category="mug",
-        translation_error=0.1,
-        rotation_error=0.333333,
+        position_m=0.1,
+        rotation_deg=0.333333,
         iou=None,
         fscore_1cm=None,
     )

@@ -236,15 +236,7 @@ def tables(answers, run=None):
     run.seeds = answers.shape[1]
     run.listed = {"can": (len(refs) + 1) // 2, "mug": len(refs) // 2}
     rows = [
-        Row(
-            sample=ref.id,
-            category=ref.category,
-            translation_error=0.005,
-            rotation_error=4.0 if own[0] else 40.0,
-            iou=None,
-            fscore_1cm=None,
-            repeats=" ".join("1-1-" if answer else "0-0-" for answer in own[1:]),
-        )
+        a_row(sample=ref.id, category=ref.category, position_m=0.005, rotation_deg=4.0 if own[0] else 40.0, iou=None, fscore_1cm=None, repeats=" ".join("1-1-" if answer else "0-0-" for answer in own[1:]))
         for ref, own in zip(refs, answers, strict=True)
     ]  # fmt: skip
     return RunTable.of(run, rows)

@@ -117,7 +117,7 @@ class Stored(Run):
 
 def a_row(sample, category, errors, failure):
     names = ("translation_error", "rotation_error", "iou", "fscore_1cm")
-    return Row(
+    return a_row(
         sample=sample, category=category, failure=failure, **dict(zip(names, errors, strict=True))
     )
 

@@ -32,11 +32,11 @@ def test_golden_table_of_other_conditions_is_not_compared():
 
 def test_no_answer_and_no_row():
     judged = rows()[1:]
-    judged[0] = Row(
+    judged[0] = a_row(
         sample="s/01",
         category="mug",
-        translation_error=math.inf,
-        rotation_error=math.inf,
+        position_m=math.inf,
+        rotation_deg=math.inf,
         iou=-math.inf,
         fscore_1cm=None,
         failure="no luck",

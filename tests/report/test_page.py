@@ -46,7 +46,7 @@ def test_page_holds_the_numbers_of_the_document():
 
 def first_row(**values) -> list[Row]:
     """Rows of which the first is another one."""
-    return [Row(category="can", iou=0.9, fscore_1cm=0.95, **values), *rows()[1:]]
+    return [a_row(category="can", iou=0.9, fscore_1cm=0.95, **values), *rows()[1:]]
 
 
 HOSTILE = "<script>alert(1)</script>|`*_[x](y)\n```\n# h"

@@ -201,11 +201,11 @@ def test_page_of_two_hundred_pictures_is_below_ten_megabytes(monkeypatch):
     )
     monkeypatch.setattr(MethodRun, "read", lambda run, ref: sample)
     judged = [
-        Row(
+        a_row(
             sample=f"s/{i:03d}",
             category="mug",
-            translation_error=0.5,
-            rotation_error=40.0,
+            position_m=0.5,
+            rotation_deg=40.0,
             iou=0.1,
             fscore_1cm=0.2,
             failure=None,

@@ -87,11 +87,11 @@ def test_flip_has_the_errors_of_both():
     assert (flip["before"], flip["after"]) == ("0.5 cm, 7 deg, F 0.95", "0.5 cm, 30 deg, F 0.95")
     assert flip["lost"] == [TEN, f"{TEN}, F 0.6"]
     lost = [
-        Row(
+        a_row(
             sample="s/00",
             category="can",
-            translation_error=math.inf,
-            rotation_error=math.inf,
+            position_m=math.inf,
+            rotation_deg=math.inf,
             iou=-math.inf,
             fscore_1cm=-math.inf,
             failure="no luck",
@@ -112,11 +112,11 @@ def test_only_samples_of_both_count():
 
 def test_not_applicable_in_one_is_not_counted():
     bare = [
-        Row(
+        a_row(
             sample=r.sample,
             category=r.category,
-            translation_error=r.translation_error,
-            rotation_error=r.rotation_error,
+            position_m=r.translation_error,
+            rotation_deg=r.rotation_error,
             iou=None,
             fscore_1cm=None,
         )

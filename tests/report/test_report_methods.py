@@ -26,11 +26,11 @@ def judged_run(method: str, dataset: str, correct: int, time: float | None = Non
         for i in range(100)
     ]
     judged = [
-        Row(
+        a_row(
             sample=ref.id,
             category=ref.category,
-            translation_error=0.005,
-            rotation_error=1.0 if i < correct else 90.0,
+            position_m=0.005,
+            rotation_deg=1.0 if i < correct else 90.0,
             iou=0.9,
             fscore_1cm=0.95,
         )
