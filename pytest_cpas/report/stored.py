@@ -12,6 +12,7 @@ from pytest_cpas.evaluation import MergedRun, Row, SampleError, merge
 from pytest_cpas.golden import RunTable
 from pytest_cpas.protocols import Protocol
 from pytest_cpas.report.document import FORMAT, run_document
+from pytest_cpas.report.rejudged import rejudged_run
 from pytest_cpas.report.tables import labels
 
 
@@ -64,13 +65,16 @@ def read_runs(
 ) -> list[RunDocument]:
     """The documents of the runs in reports (``.json``) and results files.
 
-    Results are judged under ``protocols``, the paper's if None; reports are as they were judged.
+    They are judged under ``protocols``, where the rows have the facts; if None, results are judged
+    under the paper's, and reports are as they were judged.
     The results files of the shards of a run are put together; parts may be missing. Raises
     :class:`StoredReportError`, and :class:`pytest_cpas.evaluation.results.ResultsError`.
     """
     reports = [path for path in paths if path.suffix == ".json"]
     results = [path for path in paths if path.suffix != ".json"]
     runs = [run for path in reports for run in read_report(path)["runs"]]
+    if protocols is not None:
+        runs = [rejudged_run(run, protocols) for run in runs]
     runs += [_judged(run) for run in merge(results, allow_gaps=True, protocols=protocols)]
     names = [(run["method"], run["dataset"]) for run in runs]
     for method, dataset in names:

@@ -6,7 +6,7 @@ import make_schema
 import pytest
 import tiny
 from report_schema import VALIDATOR, follow_schema
-from tables import Fixed, a_run, a_speed, rows, table
+from tables import CPAS, Fixed, a_run, a_speed, rows, table
 
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.golden import RunTable
@@ -44,7 +44,7 @@ def full_document() -> dict:
     paper = Fixed("spd", "real275", run.samples, identity={})
     runs = [told, run_document(paper, RunTable.of(paper, judged))]
     old = run_document(run, table(s_03=30.0))
-    return {**document(runs, 1), "against": against(runs[:1], [old])}
+    return {**document(runs, 1, CPAS), "against": against(runs[:1], [old])}
 
 
 FULL = full_document()

@@ -11,7 +11,7 @@ from made_documents import a_document, a_run_document
 from pages import Page, listed_samples
 from PIL import Image
 from report_schema import follow_schema
-from tables import GOLDEN, REFS, Fixed, a_run, rows
+from tables import CPAS, GOLDEN, REFS, Fixed, a_row, a_run, rows
 
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
@@ -108,7 +108,7 @@ def test_page_loads_nothing_and_admits_its_script_only():
 def test_published_curves_stand_beside_the_measured_ones():
     """Every point of the chart is where the published count says."""
     run = Fixed("spd", "real275", REFS, identity={})
-    content = document([a_run_document(run, rows(), verdicts=[])], 0)
+    content = document([a_run_document(run, rows(), verdicts=[])], 0, CPAS)
     follow_schema(content)
     ((_, runs, published),) = groups(content)
     lines = curve_lines(published, runs)

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 from harness import RUN
 from report_schema import follow_schema
-from tables import REFS, Fixed, a_run, rows
+from tables import CPAS, REFS, Fixed, a_row, a_run, rows
 
 from pytest_cpas.cli import main
-from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
@@ -35,7 +34,7 @@ def a_run_document(judged=None, run=None, errors=None) -> dict:
 
 def compared(new: dict, old: dict) -> dict:
     """The only pair of a document that follows the schema."""
-    content = document([new], 0)
+    content = document([new], 0, CPAS)
     content["against"] = against(content["runs"], [old])
     follow_schema(content)
     (pair,) = content["against"]["pairs"]
@@ -174,7 +173,7 @@ HOSTILE = "</script><img src=x onerror=alert(1)>|`\"'&amp;"
 def test_hostile_text_in_both():
     new = named(HOSTILE, HOSTILE, weights=HOSTILE)
     old = named(HOSTILE, HOSTILE)
-    content = document([new], 0)
+    content = document([new], 0, CPAS)
     content["against"] = against([new, named(HOSTILE, "e")], [old, named("x", HOSTILE + "2")])
     tags = []
     parser = HTMLParser()
@@ -241,7 +240,7 @@ def spoil(content: dict, path: Path) -> Path:
 
 
 def test_damaged_reports_are_refused(tmp_path):
-    good = document([a_run_document()], 0)
+    good = document([a_run_document()], 0, CPAS)
     path = spoil(good, tmp_path / "report.json")
     assert read_runs([path])[0]["judged"] == 10
     with pytest.raises(StoredReportError, match="m on d is in these files more than once"):

@@ -9,7 +9,7 @@ import pytest
 import tiny
 from report_schema import follow_schema
 from scipy.spatial.transform import Rotation
-from tables import a_run, rows, table
+from tables import CPAS, a_run, rows, table
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation import MethodRun
@@ -132,7 +132,7 @@ def test_page_shows_the_truth_once_and_every_estimate():
         | {"method": name, "up_axes": axes}
         for name in ("a", "</script><b>", "c")
     ]
-    content = document(told, 0)
+    content = document(told, 0, CPAS)
     follow_schema(content)
     text = page(content, {})
     escaped = "&lt;/script&gt;&lt;b&gt;"

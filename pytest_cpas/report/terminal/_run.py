@@ -21,6 +21,7 @@ from pytest_cpas.report.messages import (
     speed_lines,
     verdict_message,
 )
+from pytest_cpas.report.tables import protocol_title, split_label
 from pytest_cpas.report.terminal._table import FEW, print_table
 
 #: Characters of a line that is read at a glance.
@@ -96,8 +97,10 @@ def _print_tables(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
         # of the columns that are read, what is n/a is told; of the others, only what there is
         shown = [cell for cell in cells if first == "correct" or cell[0] in known]
         for protocol, own in _by_protocol(shown).items():
-            for lines in _tables(f"{protocol} {first}".strip(), own):
+            for lines in _tables(protocol_title(first, protocol), own):
                 print_table(terminal, lines)
+    for line in run["lacking"]:
+        terminal.write_line(f"n/a: {line}")
 
 
 #: A column's label, a category and what stands there.
@@ -105,10 +108,10 @@ _TableCell = tuple[str, str, str]
 
 
 def _by_protocol(cells: Sequence[_TableCell]) -> dict[str, list[_TableCell]]:
-    """The cells of each protocol, whose name is taken off the labels; "" is the paper's."""
+    """The cells of each protocol, whose name is taken off the labels."""
     groups: dict[str, list[_TableCell]] = {}
     for label, category, cell in cells:
-        protocol, _, own = label.rpartition(": ")
+        protocol, own = split_label(label)
         groups.setdefault(protocol, []).append((own, category, cell))
     return groups
 
