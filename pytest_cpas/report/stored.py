@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import MergedRun, Row, SampleError, merge
@@ -14,6 +14,10 @@ from pytest_cpas.protocols import Protocol
 from pytest_cpas.report.document import FORMAT, run_document
 from pytest_cpas.report.rejudged import rejudged_run
 from pytest_cpas.report.tables import labels
+
+
+#: What of a sample has a character for each column.
+_OUTCOMES: tuple[Literal["outcome", "golden"], ...] = ("outcome", "golden")
 
 
 class StoredReportError(Exception):
@@ -47,7 +51,7 @@ def read_report(path: Path) -> Document:
     columns = [*document["thresholds"], *document["guards"]]
     for run in document["runs"]:
         own = [*labels(run["precision"]), *labels(run["guards"])]
-        outcomes = [sample["outcome"] for sample in run["samples"] if sample["outcome"] is not None]
+        outcomes = [s[key] for s in run["samples"] for key in _OUTCOMES if s[key] is not None]
         if (own and own != columns) or any(len(text) != len(columns) for text in outcomes):
             raise StoredReportError(
                 f"{path}: the columns of {run['method']} on {run['dataset']} are not those that it"

@@ -53,10 +53,8 @@ HOSTILE = "<script>alert(1)</script>|`*_[x](y)\n```\n# h"
 
 
 def test_markdown_of_hostile_text():
-    judged = first_row(sample=HOSTILE, translation_error=0.5, rotation_error=40.0)
-    golden = RunTable.of(
-        a_run(), first_row(sample=HOSTILE, translation_error=0.001, rotation_error=4.0)
-    )
+    judged = first_row(sample=HOSTILE, position_m=0.5, rotation_deg=40.0)
+    golden = RunTable.of(a_run(), first_row(sample=HOSTILE, position_m=0.001, rotation_deg=4.0))
     verdicts = [Verdict(Word.REGRESSED, "can", HOSTILE)]
     text = markdown(a_document(judged, golden, verdicts=verdicts))
     outside = re.sub(r"(?ms)^(`{3,})text\n.*?^\1$", "", text)
@@ -69,10 +67,8 @@ def test_markdown_of_hostile_text():
 def test_page_of_hostile_text():
     """Neither in the page nor in the data of its script does text become markup."""
     hostile = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&amp;"
-    bad = first_row(sample=hostile, translation_error=0.5, rotation_error=40.0)
-    golden = RunTable.of(
-        a_run(), first_row(sample=hostile, translation_error=0.001, rotation_error=4.0)
-    )
+    bad = first_row(sample=hostile, position_m=0.5, rotation_deg=40.0)
+    golden = RunTable.of(a_run(), first_row(sample=hostile, position_m=0.001, rotation_deg=4.0))
     content = a_document(
         bad, golden, verdicts=[Verdict(Word.REGRESSED, "can", hostile)], errors={"s/00": hostile}
     )

@@ -83,8 +83,11 @@ def test_counts_and_p(lost, gained):
 def test_flip_has_the_errors_of_both():
     pair = compared(a_run_document(rows(s_03=30.0)), a_run_document(rows(s_03=7.0)))
     (flip,) = pair["flips"]
-    assert (flip["before"], flip["after"]) == ("0.5 cm, 7 deg, F 0.95", "0.5 cm, 30 deg, F 0.95")
-    assert flip["lost"] == [TEN, f"{TEN}, F 0.6"]
+    assert (flip["before"], flip["after"]) == (
+        "0.5 cm, 7 deg, IoU 0.9, F 0.95, NAD 0.01",
+        "0.5 cm, 30 deg, IoU 0.9, F 0.95, NAD 0.01",
+    )
+    assert flip["lost"] == [TEN, f"{TEN}, F 0.6", "10 deg, 5 cm"]
     lost = [
         a_row(
             sample="s/00",
@@ -114,8 +117,8 @@ def test_not_applicable_in_one_is_not_counted():
         a_row(
             sample=r.sample,
             category=r.category,
-            position_m=r.translation_error,
-            rotation_deg=r.rotation_error,
+            position_m=r.facts["position_m"],
+            rotation_deg=r.facts["rotation_deg"],
             iou=None,
             fscore_1cm=None,
         )
@@ -139,6 +142,12 @@ def named(method: str, dataset: str = "d", **identity: str) -> dict:
     return a_run_document(run=run)
 
 
+def redefined(method: str) -> dict:
+    """By another definition of the IoU."""
+    told = named(method)
+    return {**told, "definitions": {**told["definitions"], "iou": "other"}}
+
+
 def test_pairing():
     """The same method first; a method each that is left over is compared too."""
     new = [named("a"), named("b"), named("a", "e"), named("a", "f")]
@@ -159,7 +168,7 @@ def test_pairing():
         ([named("a")], [named("b"), named("c")], "the other one of b on d, c on d"),
         ([named("a")], [], "no method on no data set"),
         ([named("a")], [named("a", data="y")], "data was y, now x"),
-        ([named("a")], [named("b", iou="other")], "iou was other, now iou:oriented"),
+        ([named("a")], [redefined("b")], "iou was other, now iou:oriented"),
     ],
 )
 def test_what_does_not_fit_is_refused(new, old, words):
@@ -247,10 +256,13 @@ def test_damaged_reports_are_refused(tmp_path):
         read_runs([path, path])
     for change, words in (
         (lambda c: c.pop("format"), "not a report"),
-        (lambda c: c.update(format=99), "format 99, this version reads 1"),
+        (lambda c: c.update(format=99), "format 99, this version reads 2"),
         (lambda c: c["runs"][0].pop("samples"), "'samples' is a required property"),
-        (lambda c: c["thresholds"].reverse(), "other thresholds than this version"),
-        (lambda c: c["runs"][0]["precision"][0].update(threshold="x"), "other thresholds"),
+        (lambda c: c["thresholds"].reverse(), "m on d are not those that it says"),
+        (lambda c: c["guards"].reverse(), "m on d are not those that it says"),
+        (lambda c: c["runs"][0]["precision"][0].update(threshold="x"), "m on d are not those"),
+        (lambda c: c["runs"][0]["samples"][2].update(outcome="1111"), "m on d are not those"),
+        (lambda c: c["runs"][0]["samples"][2].update(golden="1111"), "m on d are not those"),
         (lambda c: c["runs"][0]["samples"][2].update(outcome="<b>"), r"\$.runs\[0\].samples\[2\]"),
     ):
         bad = copy.deepcopy(good)

@@ -26,6 +26,10 @@ def judged(method=tiny.Perfect, data=None):
     return run, [run.judge(ref) for ref in run.samples]
 
 
+def with_estimate(row, estimate):
+    return replace(row, answers=(replace(row.answers[0], estimate=estimate),))
+
+
 def test_directions_are_those_of_truth_and_answer():
     run, found = judged(tiny.Biased)
     told = up_axes(run, found)
@@ -46,7 +50,7 @@ def test_directions_are_those_of_truth_and_answer():
 def test_what_is_not_known():
     run, found = judged()
     assert up_axes(a_run(), rows()) == {"truth": None, "estimate": None}
-    failed = [replace(row, estimate=None) for row in found]
+    failed = [with_estimate(row, None) for row in found]
     assert up_axes(run, failed)["estimate"] is None
     assert up_axes(run, failed)["truth"]["count"] == tiny.COUNT
     run.robustness_point = RobustnessPoint("tiny", "occlusion", 1)
@@ -87,8 +91,8 @@ def test_only_some_directions_of_a_large_run_are_kept():
     run, found = judged()
     rotations = Rotation.random(1000, rng=np.random.default_rng(0)).as_matrix()
     many = [
-        replace(
-            found[0], estimate=encode_estimate(Hypothesis(rotation=rotation, translation=[0, 0, 1]))
+        with_estimate(
+            found[0], encode_estimate(Hypothesis(rotation=rotation, translation=[0, 0, 1]))
         )
         for rotation in rotations
     ]
