@@ -257,7 +257,7 @@ def add_options(parser: pytest.Parser) -> None:
         "--cpas-report",
         metavar="DIR",
         help="write a report into DIR: report.html, report.md, report.json, precision.csv,"
-        " precision.tex",
+        " scores.csv, precision.tex",
     )
     group.addoption(
         "--cpas-against",
@@ -289,7 +289,8 @@ def add_options(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-list",
         action="store_true",
-        help="print what is registered, and which weights of the methods are there, and exit",
+        help="print what is registered, which weights of the methods are there, and the protocols"
+        " with their columns, and exit",
     )
     parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
     parser.addini("cpas_alarm", "the same as --cpas-alarm")
@@ -309,9 +310,15 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     if not config.option.cpas_list:
         return None
     from pytest_cpas.listing import listing
+    from pytest_cpas.session.protocol_names import known_protocols
+    from pytest_cpas.types import ContractError
 
     weights = config.option.cpas_weights
-    for line in listing(config.invocation_params.dir / weights if weights else None):
+    try:
+        protocols = known_protocols(config.rootpath)
+    except ContractError as error:
+        raise pytest.UsageError(str(error)) from error
+    for line in listing(config.invocation_params.dir / weights if weights else None, protocols):
         print(line)
     return 0
 
