@@ -28,7 +28,7 @@ ARROWS: Mapping[str, set[str]] = {
     "registry": {"types"},
     "datasets": {"reading", "similarity", "types", "_files", "_open3d"},
     "evaluation": {"datasets", "metrics", "reading", "types", "_files"},
-    "golden": {"evaluation", "metrics", "types", "_files"},
+    "golden": {"evaluation", "metrics", "reading", "types", "_files"},
     "diagnosis": {"_deprecation", "golden", "evaluation", "metrics", "types"},
     "checks": {
         "golden",
@@ -51,6 +51,7 @@ ARROWS: Mapping[str, set[str]] = {
         "evaluation",
         "datasets",
         "metrics",
+        "reading",
         "types",
         "_files",
     },
@@ -63,6 +64,7 @@ ARROWS: Mapping[str, set[str]] = {
         "golden",
         "evaluation",
         "datasets",
+        "reading",
         "registry",
         "types",
         "_open3d",
@@ -70,8 +72,16 @@ ARROWS: Mapping[str, set[str]] = {
     "suite": {"session", "timing", "checks", "evaluation", "types"},
     "listing": {"registry", "types"},
     "new_adapter": {"registry"},
-    "plugin": {"session", "listing", "golden"},
-    "cli": {"session", "fetching", "report", "evaluation", "new_adapter", "types"},
+    "plugin": {"session", "listing", "golden", "reading"},
+    "cli": {
+        "session",
+        "fetching",
+        "report",
+        "evaluation",
+        "new_adapter",
+        "reading",
+        "types",
+    },
     # what it hands out is imported when it is asked for
     "__init__": {"types", "_deprecation"},
     # an adapter needs no more, whoever wrote it

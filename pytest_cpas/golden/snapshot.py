@@ -25,6 +25,7 @@ from pytest_cpas.golden.files import find_golden, record
 from pytest_cpas.golden.jitter import parse_alarm
 from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import RunTable, parse_golden
+from pytest_cpas.reading.text import terminal_line, terminal_lines
 from pytest_cpas.types import Required, Verdict
 
 
@@ -129,7 +130,8 @@ class GoldenExtension(AbstractSyrupyExtension):
             return False
         for verdict in verdicts:
             if not verdict.passed:
-                warnings.warn(pytest.PytestWarning(str(verdict)), stacklevel=2)
+                warning = pytest.PytestWarning(terminal_lines(str(verdict)))
+                warnings.warn(warning, stacklevel=2)
         return True
 
     def diff_lines(
@@ -139,7 +141,7 @@ class GoldenExtension(AbstractSyrupyExtension):
         if snapshot_data:
             for verdict in self._verdicts(serialized_data, snapshot_data):
                 if self._fails(verdict):
-                    yield from str(verdict).splitlines()
+                    yield from map(terminal_line, str(verdict).splitlines())
 
     def _fails(self, verdict: Verdict) -> bool:
         return verdict.outcome(self.required) == "failed"

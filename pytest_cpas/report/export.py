@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import THRESHOLDS
+from pytest_cpas.reading.text import csv_cell, latex
 from pytest_cpas.report.messages import method_title
 from pytest_cpas.report.tables import Cell, Line, Paper, category_tables, groups, precision_table
 
@@ -35,28 +36,14 @@ _MARKS = ("{}", r"\textbf{{{}}}", r"\underline{{{}}}", r"\textit{{{}}}")
 
 _PLACES = ("first", "second", "third")
 
-#: What LaTeX takes for a command.
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    '"': r"{\char34}",
-    # after the end of a line these would be its arguments
-    "[": "{[}",
-    "*": "{*}",
-    **{character: "\\" + character for character in "&%$#_{}"},
-}
-
 
 def precision_csv(document: Document) -> str:
     """One line per data set, method, category and joint threshold; what is n/a has none.
 
     ``source`` is measured or paper. Between ``correct_low`` and ``correct_high`` of ``total``
     samples are correct: the same number, unless the paper's print leaves it open. An empty
-    ``fscore_1cm`` is no threshold on shape.
+    ``fscore_1cm`` is no threshold on shape. Names are cells of
+    :func:`pytest_cpas.reading.text.csv_cell`.
     """
     limits = {
         threshold.label: (
@@ -70,7 +57,8 @@ def precision_csv(document: Document) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
     for where, threshold, low, high, total in _counts(document):
-        writer.writerow((*where, *limits[threshold], low, high, total, f"{low / total:.4f}"))
+        texts = map(csv_cell, where)
+        writer.writerow((*texts, *limits[threshold], low, high, total, f"{low / total:.4f}"))
     return text.getvalue()
 
 
@@ -109,8 +97,8 @@ def precision_tex(document: Document) -> str:
     for title, runs, published in shown:
         for threshold, categories, table in category_tables(thresholds, runs, published):
             lines += _table(
-                f"Precision on {_escape(title)} per category at {_threshold(threshold)}.",
-                [[_escape(category) for category in categories]],
+                f"Precision on {latex(title)} per category at {_threshold(threshold)}.",
+                [[latex(category) for category in categories]],
                 [(_method(line), line.cells) for line in table],
             )
     return "\n".join(lines) + "\n"
@@ -130,10 +118,10 @@ def _overall(
         cells = itertools.chain.from_iterable(line.cells if line else nothing for line in beside)
         lines.append((next(_method(line) for line in beside if line), list(cells)))
     yield from _table(
-        f"Precision on {' and '.join(_escape(title) for title, *_ in shown)}.",
+        f"Precision on {' and '.join(latex(title) for title, *_ in shown)}.",
         [[_threshold(label) for label in thresholds] for _ in shown],
         lines,
-        titles=[_escape(title) for title, *_ in shown],
+        titles=[latex(title) for title, *_ in shown],
     )
 
 
@@ -168,7 +156,7 @@ def _table(
 
 
 def _method(line: Line) -> str:
-    return _escape(method_title(line.method, line.paper))
+    return latex(method_title(line.method, line.paper))
 
 
 def _cell(cell: Cell | None) -> str:
@@ -185,9 +173,3 @@ def _threshold(label: str) -> str:
         else:
             parts.append(rf"${value}^\circ$" if unit == "deg" else rf"{value}\,{unit}")
     return ", ".join(parts)
-
-
-def _escape(text: str) -> str:
-    """Text from data, as it is, in one line."""
-    shown = (char if char.isprintable() else "?" for char in " ".join(text.split()))
-    return "".join(_SPECIAL.get(char, char) for char in shown).replace("--", "-{}-")

@@ -23,7 +23,7 @@ from pytest_cpas.report.messages import (
     speed_lines,
     verdict_message,
 )
-from pytest_cpas.report.terminal._table import FEW, print_table
+from pytest_cpas.report.terminal._table import FEW, Terminal
 
 #: Verdicts that are told in full, although they need not fail.
 _TOLD = (Word.RECORDED, Word.PROBABLY_WORSE)
@@ -34,17 +34,17 @@ def shows_samples(config: pytest.Config, judged: int) -> bool:
     return judged <= FEW or config.get_verbosity() > 0
 
 
-def print_run(terminal: pytest.TerminalReporter, run: RunDocument, origin: str) -> None:
+def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
     """Print what was missing, the contract, the samples of a small run, the precision table, the
     ``origin`` of the rows in words, the verdict, and what explains it."""
-    terminal.section(f"{run['method']} on {run['dataset']}", bold=True)
+    terminal.section(f"{run['method']} on {run['dataset']}")
     for line in run["missing"]:
         terminal.write_line(f"missing: {line}")
     _print_contract(terminal, run["contract"])
     if run["judged"] and shows_samples(terminal.config, run["judged"]):
-        print_table(terminal, _sample_lines(run["samples"]))
+        terminal.write_table(_sample_lines(run["samples"]))
     if run["judged"]:
-        print_table(terminal, _precision_lines(run["precision"]))
+        terminal.write_table(_precision_lines(run["precision"]))
     terminal.write_line(judged_message(run))
     terminal.write_line(f"rows: {origin}")
     by_word: dict[str, list[VerdictDocument]] = {}
@@ -71,7 +71,7 @@ def print_run(terminal: pytest.TerminalReporter, run: RunDocument, origin: str) 
         _print_speed(terminal, run["speed"])
 
 
-def _print_speed(terminal: pytest.TerminalReporter, speed: SpeedDocument) -> None:
+def _print_speed(terminal: Terminal, speed: SpeedDocument) -> None:
     verdict, *facts = speed_lines(speed)
     outcome = speed["verdict"]["outcome"]
     terminal.write_line(f"speed: {verdict}", red=outcome == "failed", green=outcome == "passed")
@@ -79,7 +79,7 @@ def _print_speed(terminal: pytest.TerminalReporter, speed: SpeedDocument) -> Non
         terminal.write_line(f"  {line}")
 
 
-def _print_contract(terminal: pytest.TerminalReporter, results: Sequence[ContractDocument]) -> None:
+def _print_contract(terminal: Terminal, results: Sequence[ContractDocument]) -> None:
     if message := contract_message(results):
         wrong = any(result["status"] in ("violated", "gone") for result in results)
         terminal.write_line(message, red=wrong)
