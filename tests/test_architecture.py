@@ -34,6 +34,7 @@ ARROWS: Mapping[str, set[str]] = {
         "golden",
         "evaluation",
         "datasets",
+        "reading",
         "metrics",
         "registry",
         "types",
@@ -42,7 +43,7 @@ ARROWS: Mapping[str, set[str]] = {
     },
     "metric_subjects": {"checks", "metrics", "types", "_open3d"},
     "fetching": {"datasets", "reading", "registry", "types", "_files"},
-    "timing": {"documents", "golden", "evaluation", "stages", "types", "_files"},
+    "timing": {"documents", "golden", "evaluation", "reading", "stages", "types", "_files"},
     "report": {
         "documents",
         "checks",

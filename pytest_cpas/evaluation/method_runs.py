@@ -14,6 +14,7 @@ from pytest_cpas.evaluation.measuring import declared_part, measure
 from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.evaluation.rows import Row, outcomes
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.reading.files import sha256
 from pytest_cpas.types import (
     AnswerError,
     ContractError,
@@ -188,9 +189,7 @@ def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
         return {}
     digest = hashlib.sha256()
     for asset in sorted(assets, key=lambda asset: asset.path):
-        with (folder / asset.path).open("rb") as file:
-            content = hashlib.file_digest(file, "sha256").hexdigest()
-        digest.update(f"{asset.path} {content}\n".encode())
+        digest.update(f"{asset.path} {sha256(folder / asset.path)}\n".encode())
     return {"weights": digest.hexdigest()[:16]}
 
 

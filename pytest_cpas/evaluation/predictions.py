@@ -17,8 +17,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import re
-import zipfile
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.reading.arrays import Wanted, read_npz
+from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import (
     CATEGORIES,
@@ -43,6 +45,7 @@ from pytest_cpas.types import (
     Prediction,
     SampleRef,
 )
+from pytest_cpas.types._arrays import frozen_array
 from pytest_cpas.types.datasets import STORED
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
 
@@ -59,6 +62,17 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "pred_RTs": (4, 4),
     "pred_scales": (3,),
 }
+
+#: What the arrays of an ``.npz`` are; rows are checked frame by frame.
+_ARRAYS = {
+    "frame": Wanted("U", (None,)),
+    "gt_offset": Wanted("iu", (None,)),
+    "pred_offset": Wanted("iu", (None,)),
+    **{key: Wanted("iuf") for key in _SHAPES},
+}
+
+#: Coordinates of a 2-D box, pixels, are no larger.
+_LARGEST_PIXEL = 1e9
 
 Frame = Mapping[str, NDArray[Any]]
 
@@ -79,33 +93,36 @@ def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
     elif path.suffix == ".pkl":
         match = re.search(r"(scene_\d+_\d+)$|_([^_]+_[^_]+)$", path.stem)
         name = match.group(0).lstrip("_") if match else path.stem
-        yield name, _checked(load_numpy_pickle(path), f"{path}")
+        yield name, _checked(load_numpy_pickle(regular(path)), f"{path}")
     else:
         raise DataError(f"{path}: expected a .pkl, a folder of them, or an .npz")
 
 
 def _read_npz(path: Path) -> Iterator[tuple[str, Frame]]:
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise DataError(f"{path}: not a readable .npz ({error})") from error
-    absent = sorted({"frame", "gt_offset", "pred_offset", *_SHAPES} - set(arrays))
-    if absent:
-        raise DataError(f"{path}: lacks {', '.join(absent)}")
-    names = arrays["frame"]
+    arrays = read_npz(path, _ARRAYS)
+    names: list[str] = arrays["frame"].tolist()
+    offsets = {}
     for side in ("gt", "pred"):
-        offset, count = arrays[f"{side}_offset"], len(arrays[f"{side}_class_ids"])
-        if len(offset) != len(names) + 1 or offset[0] != 0 or offset[-1] != count:
+        counts, offset = arrays[f"{side}_class_ids"], arrays[f"{side}_offset"].tolist()
+        count = len(counts) if counts.ndim else 0
+        if len(offset) != len(names) + 1 or (offset[0], offset[-1]) != (0, count):
+            seen = f"{len(offset)} entries" + (f" up to {offset[-1]}" if offset else "")
             raise DataError(
-                f"{path}: {side}_offset has {len(offset)} entries up to {offset[-1]}, expected"
-                f" {len(names) + 1} from 0 to {count}"
+                f"{path}: {side}_offset has {seen}, expected {len(names) + 1} from 0 to {count}"
             )
-    for index, name in enumerate(names.tolist()):
-        rows = {
-            side: slice(arrays[f"{side}_offset"][index], arrays[f"{side}_offset"][index + 1])
-            for side in ("gt", "pred")
-        }
+        for index, (low, high) in enumerate(pairwise(offset)):
+            if low > high:
+                raise DataError(
+                    f"{path}: {side}_offset goes down from {low} to {high} at frame"
+                    f" {names[index]!r}, so that rows would be counted twice"
+                )
+        offsets[side] = offset
+    for key in _SHAPES:
+        count = offsets[key.split("_")[0]][-1]
+        if len(arrays[key]) != count:
+            raise DataError(f"{path}: {key} has {len(arrays[key])} rows, expected {count}")
+    for index, name in enumerate(names):
+        rows = {side: slice(*offset[index : index + 2]) for side, offset in offsets.items()}
         frame = {key: arrays[key][rows[key.split("_")[0]]] for key in _SHAPES}
         yield name, _checked(frame, f"{path}, frame {name}")
 
@@ -117,19 +134,36 @@ def _checked(frame: Mapping[str, Any], where: str) -> Frame:
         array = frame.get(key)
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
             raise DataError(f"{where}: {key} is missing or not an array of numbers")
-        if len(array) == 0:
+        if array.ndim and len(array) == 0:
             array = array.reshape(0, *shape)  # an empty list is stored as shape (0,)
-        count = len(checked.get(f"{side}_class_ids", array))
+        count = len(checked.get(f"{side}_class_ids", array)) if array.ndim else 0
         if array.shape != (count, *shape):
             raise DataError(f"{where}: {key} has shape {array.shape}, expected {(count, *shape)}")
+        if array.dtype.kind == "f" and array.dtype.itemsize not in (4, 8):
+            with np.errstate(over="ignore"):  # what is too large is infinite, and found below
+                array = array.astype(np.float64)
+        if key.endswith("class_ids"):
+            array = _class_ids(array, f"{where}: {key}")
+        elif key.endswith("bboxes") and not (np.abs(array.astype(float)) <= _LARGEST_PIXEL).all():
+            raise DataError(
+                f"{where}: {key} holds NaN or numbers above {_LARGEST_PIXEL:g}, expected pixels"
+            )
         checked[key] = array
-    ids = np.concatenate([checked["gt_class_ids"], checked["pred_class_ids"]])
+    return checked
+
+
+def _class_ids(ids: NDArray[Any], where: str) -> NDArray[Any]:
+    """Class ids as integers, also where they are stored as real numbers."""
     if len(ids) and not (ids.min() >= 1 and ids.max() <= len(CATEGORIES)):
         raise DataError(
             f"{where}: class ids run from {ids.min()} to {ids.max()}, expected 1 to"
             f" {len(CATEGORIES)} ({', '.join(CATEGORIES)})"
         )
-    return checked
+    if ids.dtype.kind != "f":
+        return ids
+    if (ids != np.floor(ids)).any():
+        raise DataError(f"{where}: class ids such as {ids[ids != np.floor(ids)][0]}, not integers")
+    return ids.astype(np.int64)
 
 
 def assign_detections(frame: Frame) -> NDArray[np.int64]:
@@ -162,13 +196,15 @@ def assign_detections(frame: Frame) -> NDArray[np.int64]:
 
 def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Array]:
     """Pose and extents (3,), metres, of a (4, 4) similarity and a box relative to its scale."""
-    determinant = float(np.linalg.det(scaled[:3, :3])) if np.isfinite(scaled).all() else np.nan
+    scaled = frozen_array(scaled, (4, 4), "the pose")
+    determinant = float(np.linalg.det(scaled[:3, :3]))
     if not determinant > 0:
         raise DataError(
             f"the pose has determinant {determinant:g}, expected the cube of a positive scale"
         )
     scale = np.cbrt(determinant)
-    return Pose(scaled[:3, :3] / scale, scaled[:3, 3]), relative.astype(float) * scale
+    extents = frozen_array(relative, (3,), "the scales") * scale
+    return Pose(scaled[:3, :3] / scale, scaled[:3, 3]), extents
 
 
 class StoredRun(Run):
@@ -177,6 +213,7 @@ class StoredRun(Run):
     def __init__(self, path: Path, *, selection: Selection | None = None) -> None:
         """Read the file or folder; nothing is judged yet."""
         self._frames: dict[str, Frame] = {}
+        self._places: dict[str, tuple[str, int]] = {}
         digest = hashlib.sha256()
         samples = []
         for name, frame in read_frames(path):
@@ -189,9 +226,16 @@ class StoredRun(Run):
                     digest.update(np.ascontiguousarray(frame[key]).tobytes())
             for index, class_id in enumerate(frame["gt_class_ids"].tolist()):
                 ref_id = f"{scene}/{number}/gt{index}" if scene else f"{number}/gt{index}"
-                samples.append(
-                    SampleRef(id=ref_id, category=CATEGORIES[class_id - 1], scene=scene or number)
-                )
+                try:
+                    category = CATEGORIES[class_id - 1]
+                    ref = SampleRef(id=ref_id, category=category, scene=scene or number)
+                except ContractError as error:
+                    raise DataError(f"{path}, frame {name!r}: {error}") from None
+                if ref_id in self._places:
+                    other = self._places[ref_id][0]
+                    raise DataError(f"{path}: frames {other} and {name} give one id, {ref_id}")
+                self._places[ref_id] = name, index
+                samples.append(ref)
         super().__init__(
             re.sub(r"[^A-Za-z0-9._-]", "-", path.stem if path.is_file() else path.name),
             STORED,
@@ -236,8 +280,7 @@ class StoredRun(Run):
         return rows
 
     def _pair(self, ref: SampleRef) -> tuple[GroundTruth, Prediction]:
-        frame_id, _, last = ref.id.rpartition("/")
-        name, index = frame_id.replace("/", "_"), int(last.removeprefix("gt"))
+        name, index = self._places[ref.id]
         frame = self._frames[name]
         try:
             pose, extents = _posed_box(frame["gt_RTs"][index], frame["gt_scales"][index])

@@ -13,7 +13,17 @@ import filelock
 
 from pytest_cpas._files import cache_folder, sync_folder, write_through
 from pytest_cpas.golden.tables import GoldenError, RunTable, parse_golden, parse_samples
-from pytest_cpas.types import ContractError
+from pytest_cpas.reading.files import (
+    NoFileError,
+    decoded,
+    lines_of,
+    opened,
+    read_bytes,
+    read_text,
+    sha256,
+)
+from pytest_cpas.reading.structured import LARGEST_TOML
+from pytest_cpas.types import ContractError, DataError
 from pytest_cpas.types.names import checked_name
 
 __all__ = ["find_golden", "is_recorded", "orphans", "read_golden", "record", "shipped_golden"]
@@ -21,6 +31,9 @@ __all__ = ["find_golden", "is_recorded", "orphans", "read_golden", "record", "sh
 
 #: The two files of a table.
 _TABLE, _SAMPLES = "table.toml", "samples.csv"
+
+#: Largest ``samples.csv``, bytes: that of ten million samples.
+_LARGEST = 2**30
 
 #: How the name of a file ends that is not complete.
 _PART = ".part"
@@ -76,7 +89,7 @@ def record(golden: Path, table: RunTable) -> Path:
             _write(folder, table.recordable(previous))
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
-    except OSError as error:
+    except (OSError, DataError) as error:
         raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
     return folder
 
@@ -149,7 +162,7 @@ def _check_readable(folder: Path, digest: str, table: RunTable) -> None:
     samples = waiting if waiting.exists() else folder / _SAMPLES
     try:
         again = _read_files(folder, folder / f".table{_PART}", samples)
-    except (OSError, UnicodeDecodeError, GoldenError) as error:
+    except (OSError, DataError, GoldenError) as error:
         raise GoldenError(f"what would be recorded cannot be read back ({error})") from error
     if again.samples_csv() != table.samples_csv() or again.table != table.table:
         raise GoldenError("what would be recorded is not what is read back")
@@ -219,7 +232,7 @@ def _read_told(folder: Path) -> RunTable:
     """Read a table that nobody writes; :class:`GoldenError` says what to do if it is damaged."""
     try:
         return _read(folder)
-    except (OSError, UnicodeDecodeError, GoldenError) as error:
+    except (OSError, DataError, GoldenError) as error:
         raise GoldenError(
             f"{folder}: {error}; it was damaged or edited by hand. Restore it from version"
             " control, or remove it and record it anew with --snapshot-update"
@@ -236,21 +249,22 @@ def _read(folder: Path) -> RunTable:
 
 
 def _read_files(folder: Path, table: Path, samples: Path) -> RunTable:
-    text = table.read_bytes().decode("utf-8")
+    text = read_text(table, LARGEST_TOML)
     digest = _file_digest(samples)
     names = folder.parent.name, folder.name
-    if digest != _named(text) and b"\r\n" in (content := samples.read_bytes()):
+    if digest != _named(text) and b"\r\n" in (content := read_bytes(samples, _LARGEST)):
         # checked out with the line ends of Windows; what is recorded has no \r of its own
-        return parse_golden(*names, text, content.replace(b"\r\n", b"\n").decode("utf-8"))
-    with samples.open("rb") as samples_csv:  # which can be large
-        lines = io.TextIOWrapper(samples_csv, encoding="utf-8", newline="")
-        return parse_samples(*names, text, lines, digest)
+        content = content.replace(b"\r\n", b"\n")
+        return parse_golden(*names, text, decoded(samples, content))
+    with opened(samples, _LARGEST) as samples_csv:  # which can be large
+        file = io.TextIOWrapper(samples_csv, encoding="utf-8", newline="")
+        return parse_samples(*names, text, lines_of(file, _SAMPLES), digest)
 
 
 def _named_digest(folder: Path) -> str:
     """The digest of the samples that the table of a folder names, or "" without a table."""
     path = folder / _TABLE
-    return _named(path.read_text(encoding="utf-8", errors="replace")) if path.exists() else ""
+    return _named(read_text(path, LARGEST_TOML, "replace")) if path.exists() else ""
 
 
 def _named(table_toml: str) -> str:
@@ -261,7 +275,6 @@ def _named(table_toml: str) -> str:
 def _file_digest(path: Path) -> str:
     """The SHA-256 of a file; "" if there is none."""
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except FileNotFoundError:
+        return sha256(path, _LARGEST)
+    except NoFileError:
         return ""

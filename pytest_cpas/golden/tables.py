@@ -6,17 +6,19 @@ import csv
 import functools
 import hashlib
 import io
+import math
 import re
 import sys
-import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from pytest_cpas._files import toml_string
 from pytest_cpas.evaluation import THRESHOLDS, Row, Run, Table, outcomes, precision_table
 from pytest_cpas.metrics.precision import Count, Errors
+from pytest_cpas.reading.structured import parse_toml
+from pytest_cpas.reading.tables import csv_lines, real
+from pytest_cpas.types import DataError
 
 __all__ = ["FORMAT", "GoldenError", "RunTable", "TableSample", "differences", "parse_golden"]
 
@@ -246,13 +248,13 @@ def parse_samples(
 ) -> RunTable:
     """The same from the lines of ``samples.csv`` and their SHA-256."""
     try:
-        content: dict[str, Any] = tomllib.loads(toml)
-    except tomllib.TOMLDecodeError as error:
-        raise GoldenError(f"table.toml: {error}") from error
+        content = parse_toml("table.toml", toml)
+    except DataError as error:
+        raise GoldenError(str(error)) from error
     if content.get("format") != FORMAT:
         raise GoldenError(f"format is {content.get('format')!r}, this version reads {FORMAT}")
     seeds = content.get("seeds")
-    if not isinstance(seeds, int) or seeds < 1:
+    if not isinstance(seeds, int) or isinstance(seeds, bool) or not 1 <= seeds < 2**31:
         raise GoldenError(f"table.toml: seeds is {seeds!r}, expected at least 1")
     sections = [content.get(name, 0) for name in ("identity", "provenance", "cells")]
     for section in sections:
@@ -261,17 +263,7 @@ def parse_samples(
     identity, provenance, cells = sections
     if content.get("samples_sha256") != digest:
         raise GoldenError("samples.csv is not the file that table.toml was made with")
-    lines = csv.reader(samples_csv)
-    try:
-        if tuple(next(lines, ())) != _COLUMNS:
-            raise GoldenError(f"samples.csv: expected the columns {', '.join(_COLUMNS)}")
-        samples = {sys.intern(line[0]): _sample(line) for line in lines}
-    except (ValueError, IndexError, csv.Error) as error:
-        raise GoldenError(f"samples.csv: {error}") from error
-    for sample in samples.values():
-        told = [sample.outcome, *sample.repeats]
-        if len(told) not in (1, seeds) or not all(_OUTCOME.fullmatch(text) for text in told):
-            raise GoldenError(f"samples.csv: outcomes {' '.join(told)}")
+    samples = _samples(samples_csv, seeds)
     listed = Counter(sample.category for sample in samples.values())
     table = RunTable(
         method=method,
@@ -289,6 +281,29 @@ def parse_samples(
     return table
 
 
+def _samples(samples_csv: Iterable[str], seeds: int) -> dict[str, TableSample]:
+    """The lines of ``samples.csv``; :class:`GoldenError` names the one that is none."""
+    samples: dict[str, TableSample] = {}
+    number = 1
+    try:
+        lines = csv_lines("samples.csv", samples_csv)
+        if tuple(next(lines, (0, ()))[1]) != _COLUMNS:
+            raise ValueError(f"expected the columns {', '.join(_COLUMNS)}")
+        for number, line in lines:  # noqa: B007 - told if the line is wrong
+            sample = _sample(line)
+            told = [sample.outcome, *sample.repeats]
+            if len(told) not in (1, seeds) or not all(_OUTCOME.fullmatch(text) for text in told):
+                raise ValueError(f"outcomes {' '.join(told)[:80]!r}")
+            if line[0] in samples:
+                raise ValueError(f"sample {line[0]} is there twice")
+            samples[sys.intern(line[0])] = sample
+    except DataError as error:
+        raise GoldenError(str(error)) from error
+    except ValueError as error:
+        raise GoldenError(f"samples.csv, line {number}: {error}") from error
+    return samples
+
+
 def _sample(line: Sequence[str]) -> TableSample:
     _, category, outcome, repeats, translation, rotation, iou, fscore, failure = line
     return TableSample(
@@ -296,10 +311,10 @@ def _sample(line: Sequence[str]) -> TableSample:
         outcome=sys.intern(outcome),
         repeats=tuple(repeats.split()),
         errors=(
-            float(translation),
-            float(rotation),
-            float(iou) if iou else None,
-            float(fscore) if fscore else None,
+            real(translation),
+            real(rotation),
+            real(iou, -math.inf, 1.01) if iou else None,
+            real(fscore, -math.inf, 1.01) if fscore else None,
         ),
         failure=failure,
     )

@@ -200,7 +200,7 @@ def test_every_damage_is_noticed(recorded, pytester):
     ):
         path.write_bytes(content)
         assert words in usage_error(pytester, f"--cpas-merge={path}")
-    assert "cannot be read" in usage_error(pytester, "--cpas-merge=nowhere.jsonl")
+    assert "nowhere.jsonl: no such file" in usage_error(pytester, "--cpas-merge=nowhere.jsonl")
 
 
 def test_folder_that_cannot_be_written(recorded, pytester):
