@@ -107,7 +107,10 @@ class Run(ABC):
         self.missing, self.damaged = missing, damaged
         self.identity: Mapping[str, str] = identity
         self.protocols = (shipped_protocol(PAPER),) if protocols is None else tuple(protocols)
-        of_samples: tuple[Column, ...] = (*count_columns(self.protocols), *score_columns(self.protocols))
+        of_samples: tuple[Column, ...] = (
+            *count_columns(self.protocols),
+            *score_columns(self.protocols),
+        )
         self.facts = tuple(in_order((*_POSE, *facts_of(of_samples))))
         self.definitions = {name: fact(name).definition for name in self.facts}
 

@@ -56,6 +56,13 @@ class Fact:
         """Of a sample without an answer: it meets no limit."""
         return -math.inf if self.better == "higher" else math.inf
 
+    @property
+    def most(self) -> float:
+        """The largest value that there is."""
+        if self.unit == "deg":
+            return 180.0
+        return 1.0 if self.better == "higher" else math.inf
+
     def limit_label(self, limit: float) -> str:
         """A limit for people: ``10 deg``, ``2 cm``, ``IoU 0.5``."""
         return self.pattern.format(f"{self.factor * limit:.10g}")

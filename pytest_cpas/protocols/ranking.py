@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,17 @@ class Ranking:
 
     detections: Mapping[str, RankedDetection]
     counted: Mapping[str, tuple[int, ...]]
+
+    def without(self, categories: Collection[str]) -> Ranking:
+        """This ranking without some categories."""
+        return Ranking(
+            {k: d for k, d in self.detections.items() if d.category not in categories},
+            {k: n for k, n in self.counted.items() if k not in categories},
+        )
+
+    def joined(self, other: Ranking) -> Ranking:
+        """Both, which are of different categories."""
+        return Ranking({**self.detections, **other.detections}, {**self.counted, **other.counted})
 
 
 def rank(columns: Sequence[RankingColumn], pairs: PairTable) -> Ranking:
