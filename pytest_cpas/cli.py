@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from pytest_cpas.reading.text import say
 from pytest_cpas.session import guard
 
 
@@ -131,15 +132,15 @@ def _report(options: argparse.Namespace) -> int:
         if protocols is not None:
             document = rejudged(document, protocols)
             for line in dict.fromkeys(line for run in document["runs"] for line in run["lacking"]):
-                print(f"n/a: {line}")
+                say(f"n/a: {line}")
         if options.against:
             others = read_runs(list(map(Path, options.against)), protocols)
             document["against"] = against(document["runs"], others)
         write_report(document, to, {})
     except (StoredReportError, ResultsError, ContractError, OSError) as error:
-        print(f"pytest-cpas report: {error}", file=sys.stderr)
+        say(f"pytest-cpas report: {error}", file=sys.stderr)
         return 1
-    print(f"wrote {to / 'report.html'}, .md and .json")
+    say(f"wrote {to / 'report.html'}, .md and .json")
     return 0
 
 
@@ -149,11 +150,11 @@ def _new_adapter(options: argparse.Namespace) -> int:
     try:
         paths, next_options = new_adapter(options.name, options.to)
     except (NewAdapterError, OSError) as error:
-        print(f"pytest-cpas new-adapter: {error}", file=sys.stderr)
+        say(f"pytest-cpas new-adapter: {error}", file=sys.stderr)
         return 1
-    print("wrote", *paths, sep="\n  ")
+    say("wrote", *(f"  {path}" for path in paths))
     there = "" if options.to == Path() else f"cd {shlex.quote(str(options.to))} && "
-    print(f"next:\n  {there}pytest {next_options} --cpas-limit=24")
+    say(f"next:\n  {there}pytest {next_options} --cpas-limit=24")
     return 0
 
 
@@ -165,9 +166,9 @@ def _export_bop(options: argparse.Namespace) -> int:
     try:
         count = export_bop(options.results, options.bop, options.to)
     except (ResultsError, ContractError, OSError) as error:
-        print(f"pytest-cpas export-bop: {error}", file=sys.stderr)
+        say(f"pytest-cpas export-bop: {error}", file=sys.stderr)
         return 1
-    print(f"{options.to}: {count} estimates")
+    say(f"{options.to}: {count} estimates")
     return 0
 
 
@@ -178,17 +179,17 @@ def _fetch(name: str, to: Path, yes: bool) -> int:
         if yes:
             return True
         if not sys.stdin.isatty():
-            print(f"{question} Nobody can answer here; agree with --yes.", file=sys.stderr)
+            say(f"{question} Nobody can answer here; agree with --yes.", file=sys.stderr)
             return False
         return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
 
     try:
-        return 0 if fetch(find_source(name), to, confirm=confirm) else 1
+        return 0 if fetch(find_source(name), to, confirm=confirm, tell=say) else 1
     except FetchError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("interrupted; the same command goes on where it stopped", file=sys.stderr)
+        say("interrupted; the same command goes on where it stopped", file=sys.stderr)
         return 130
 
 

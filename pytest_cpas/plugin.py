@@ -310,6 +310,7 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     if not config.option.cpas_list:
         return None
     from pytest_cpas.listing import listing
+    from pytest_cpas.reading.text import say
     from pytest_cpas.session.protocol_names import known_protocols
     from pytest_cpas.types import ContractError
 
@@ -319,7 +320,7 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     except ContractError as error:
         raise pytest.UsageError(str(error)) from error
     for line in listing(config.invocation_params.dir / weights if weights else None, protocols):
-        print(line)
+        say(line)
     return 0
 
 

@@ -49,6 +49,8 @@ from pytest_cpas.protocols import (
     Column,
     CountColumn,
     Protocol,
+    RankingColumn,
+    ScoreColumn,
     count_columns,
     score_columns,
 )
@@ -235,9 +237,13 @@ def _precision(
 def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
     old = golden.scores if golden else {}
     scores: list[ScoreDocument] = []
+    columns: list[ScoreColumn | RankingColumn] = [
+        *score_columns(new.protocols),
+        *new.ranking_columns,
+    ]
     for category in _in_order(new.scores.keys()):
-        for column in score_columns(new.protocols):
-            score = new.scores[category][column.key]
+        for column in columns:
+            score = new.scores[category].get(column.key)
             before = old.get(category, {}).get(column.key)
             scores.append(
                 {
@@ -247,6 +253,7 @@ def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
                     "golden": _short(before.value) if before else None,
                     "samples": score.samples if score else 0,
                     "better": column.better,
+                    "share": not (isinstance(column, ScoreColumn) and column.median),
                 }
             )
     return scores
@@ -257,11 +264,18 @@ def lacking(table: RunTable) -> list[str]:
     answers = [sample.facts for sample in table.samples.values()]
     unknown: dict[str, list[Column]] = {}
     for protocol in table.protocols:
-        for column in protocol.columns:
+        for column in (*protocol.counts, *protocol.scores):
             for made in column.facts:
                 if answers and all(facts.get(made.name) is None for facts in answers):
                     unknown.setdefault(made.name, []).append(column)
-    return [_lacking(table, fact(name), columns) for name, columns in unknown.items()]
+    lines = [_lacking(table, fact(name), columns) for name, columns in unknown.items()]
+    if table.ranking is None and table.ranking_columns:
+        keys = ", ".join(column.key for column in table.ranking_columns)
+        lines.append(
+            f"{keys} rank all detections of an image, which only stored predictions can have"
+            " (--cpas-predictions)"
+        )
+    return lines
 
 
 def _lacking(table: RunTable, made: Fact, columns: Sequence[Column]) -> str:

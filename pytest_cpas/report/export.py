@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.protocols import PAPER
+from pytest_cpas.reading.text import csv_cell, latex
 from pytest_cpas.report.messages import method_title
 from pytest_cpas.report.tables import (
     Cell,
@@ -48,21 +49,6 @@ _BEST = _MARKS[1].partition("{{")[0]
 
 _PLACES = ("first", "second", "third")
 
-#: What LaTeX takes for a command.
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    '"': r"{\char34}",
-    # after the end of a line these would be its arguments
-    "[": "{[}",
-    "*": "{*}",
-    **{character: "\\" + character for character in "&%$#_{}"},
-}
-
 
 def precision_csv(document: Document) -> str:
     """One line per data set, method, category and column that counts; what is n/a has none.
@@ -76,8 +62,8 @@ def precision_csv(document: Document) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
     for where, threshold, low, high, total in _counts(document):
-        column = split_label(threshold)
-        writer.writerow((*where, *column, low, high, total, f"{low / total:.4f}"))
+        texts = map(csv_cell, (*where, *split_label(threshold)))
+        writer.writerow((*texts, low, high, total, f"{low / total:.4f}"))
     return text.getvalue()
 
 
@@ -110,8 +96,8 @@ def scores_csv(document: Document) -> str:
         for entry in run["scores"]:
             if (value := entry["measured"]) is not None:
                 where = (run["dataset"], run["method"], entry["category"])
-                column = split_label(entry["score"])
-                writer.writerow((*where, *column, entry["samples"], f"{value:.6g}"))
+                texts = map(csv_cell, (*where, *split_label(entry["score"])))
+                writer.writerow((*texts, entry["samples"], f"{value:.6g}"))
     return text.getvalue()
 
 
@@ -134,8 +120,8 @@ def precision_tex(document: Document) -> str:
             document["thresholds"], runs, published
         ):
             lines += _table(
-                f"Precision on {_escape(title)} per category at {_threshold(threshold)}.",
-                [[_escape(category) for category in categories]],
+                f"Precision on {latex(title)} per category at {_threshold(threshold)}.",
+                [[latex(category) for category in categories]],
                 [(_method(line), _precision(line.cells)) for line in table],
             )
     for title, runs, _ in shown:
@@ -143,7 +129,7 @@ def precision_tex(document: Document) -> str:
             table = precision_table(own, runs, {})
             known = [index for index in range(len(own)) if any(line.cells[index] for line in table)]
             lines += _table(
-                f"Guarded columns{_under(protocol)} on {_escape(title)}.",
+                f"Guarded columns{_under(protocol)} on {latex(title)}.",
                 [[_own(own[index]) for index in known]],
                 [(_method(line), _precision([line.cells[i] for i in known])) for line in table],
             )
@@ -157,20 +143,21 @@ def _scores(title: str, runs: Sequence[RunDocument]) -> Iterator[str]:
     for run in runs:
         for entry in run["scores"]:
             if entry["category"] == ALL and entry["measured"] is not None:
-                known.setdefault(entry["score"], {})[run["method"]] = f"{entry['measured']:.4g}"
+                told = f"{entry['measured']:{'.4f' if entry['share'] else '.4g'}}"
+                known.setdefault(entry["score"], {})[run["method"]] = told
     for protocol, own in of_protocols(known).items():
         yield from _table(
-            f"Scores{_under(protocol)} on {_escape(title)}.",
+            f"Scores{_under(protocol)} on {latex(title)}.",
             [[_own(label) for label in own]],
             [
-                (_escape(run["method"]), [known[label].get(run["method"], "n/a") for label in own])
+                (latex(run["method"]), [known[label].get(run["method"], "n/a") for label in own])
                 for run in runs
             ],
         )
 
 
 def _under(protocol: str) -> str:
-    return "" if protocol == PAPER else f" of {_escape(protocol)}"
+    return "" if protocol == PAPER else f" of {latex(protocol)}"
 
 
 def _own(label: str) -> str:
@@ -191,10 +178,10 @@ def _overall(
         cells = itertools.chain.from_iterable(line.cells if line else nothing for line in beside)
         lines.append((next(_method(line) for line in beside if line), _precision(list(cells))))
     yield from _table(
-        f"Precision{_under(protocol)} on {' and '.join(_escape(title) for title, *_ in shown)}.",
+        f"Precision{_under(protocol)} on {' and '.join(latex(title) for title, *_ in shown)}.",
         [[_own(label) for label in thresholds] for _ in shown],
         lines,
-        titles=[_escape(title) for title, *_ in shown],
+        titles=[latex(title) for title, *_ in shown],
     )
 
 
@@ -231,7 +218,7 @@ def _table(
 
 
 def _method(line: Line) -> str:
-    return _escape(method_title(line.method, line.paper))
+    return latex(method_title(line.method, line.paper))
 
 
 def _precision(cells: Sequence[Cell | None]) -> list[str]:
@@ -250,11 +237,5 @@ def _threshold(label: str) -> str:
             value, unit = limit.groups()
             parts.append(rf"${value}^\circ$" if unit == "deg" else rf"{value}\,{unit}")
         else:
-            parts.append(_escape(part))
+            parts.append(latex(part))
     return ", ".join(parts)
-
-
-def _escape(text: str) -> str:
-    """Text from data, as it is, in one line."""
-    shown = (char if char.isprintable() else "?" for char in " ".join(text.split()))
-    return "".join(_SPECIAL.get(char, char) for char in shown).replace("--", "-{}-")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from typing import Literal
 
@@ -13,6 +12,8 @@ from pytest_cpas.documents import (
     FlipDocument,
     RunDocument,
 )
+from pytest_cpas.reading.text import markdown as _text
+from pytest_cpas.reading.text import markdown_fence
 from pytest_cpas.report.messages import (
     change_messages,
     contract_message,
@@ -63,10 +64,10 @@ def _lines(document: Document) -> Iterator[str]:
         ["run", "verdict", "samples", "golden"],
         [
             [
-                _escape(f"{run['method']} on {run['dataset']}"),
+                _text(f"{run['method']} on {run['dataset']}"),
                 f"**{outcome_message(run['outcome'])}**",
                 judged_message(run),
-                _escape(verdicts_message(run)),
+                _text(verdicts_message(run)),
             ]
             for run in document["runs"]
         ],
@@ -78,15 +79,15 @@ def _lines(document: Document) -> Iterator[str]:
         yield from _against(document["against"])
     thresholds = document["thresholds"]
     for title, runs, published in groups(document):
-        yield f"## {_escape(title)}"
+        yield f"## {_text(title)}"
         yield ""
         for protocol, own in of_protocols(thresholds).items():
             lines = precision_table(own, runs, published)
             yield from _methods(_head("correct", protocol, own), lines)
         for threshold, categories, lines in category_tables(thresholds, runs, published):
-            yield f"<details><summary>per category at {_escape(threshold)}</summary>"
+            yield f"<details><summary>per category at {_text(threshold)}</summary>"
             yield ""
-            yield from _methods(["correct", *map(_escape, categories)], lines)
+            yield from _methods(["correct", *map(_text, categories)], lines)
             yield "</details>"
             yield ""
     for run in document["runs"]:
@@ -99,10 +100,7 @@ def _lines(document: Document) -> Iterator[str]:
 def _methods(head: Sequence[str], lines: Sequence[Line]) -> Iterator[str]:
     yield from _table(
         head,
-        [
-            [_escape(method_title(line.method, line.paper)), *map(_cell, line.cells)]
-            for line in lines
-        ],
+        [[_text(method_title(line.method, line.paper)), *map(_cell, line.cells)] for line in lines],
     )
 
 
@@ -111,7 +109,7 @@ def _troubles(run: RunDocument) -> Iterator[str]:
     sections = troubles(run)
     if not sections and not run["flips"]:
         return
-    yield f"## {_escape(run['method'])} on {_escape(run['dataset'])}"
+    yield f"## {_text(run['method'])} on {_text(run['dataset'])}"
     yield ""
     for title, lines in sections:
         yield f"**{title}**"
@@ -125,10 +123,10 @@ def _troubles(run: RunDocument) -> Iterator[str]:
 
 def _speed(run: RunDocument) -> Iterator[str]:
     if run["speed"]:
-        yield f"**Speed of {_escape(run['method'])} on {_escape(run['dataset'])}**"
+        yield f"**Speed of {_text(run['method'])} on {_text(run['dataset'])}**"
         yield ""
         for line in speed_lines(run["speed"]):
-            yield f"- {_escape(line)}"
+            yield f"- {_text(line)}"
         yield ""
 
 
@@ -137,10 +135,10 @@ def _flips(flips: Sequence[FlipDocument], every: int) -> Iterator[str]:
         ["sample", "before", "now", "what changed"],
         [
             [
-                _escape(flip["sample"]),
-                _escape(flip["before"]),
-                _escape(flip["after"]),
-                _escape(flip_message(flip, every)),
+                _text(flip["sample"]),
+                _text(flip["before"]),
+                _text(flip["after"]),
+                _text(flip_message(flip, every)),
             ]
             for flip in flips[:_SHOWN]
         ],
@@ -152,7 +150,7 @@ def _flips(flips: Sequence[FlipDocument], every: int) -> Iterator[str]:
 def _against(against: AgainstDocument) -> Iterator[str]:
     """The runs beside those of another one."""
     for pair in against["pairs"]:
-        yield f"## {_escape(pair_title(pair))}"
+        yield f"## {_text(pair_title(pair))}"
         yield ""
         yield from _fenced(pair_lines(pair))
         yield from _changes(pair["precision"])
@@ -176,7 +174,7 @@ def _changes(entries: Sequence[ChangeDocument]) -> Iterator[str]:
             _head("before → now", protocol, own),
             [
                 [
-                    _escape(category),
+                    _text(category),
                     *("<br>".join(filter(None, change_messages(entry))) for entry in changes),
                 ]
                 for category, changes in category_lines(entries, own)
@@ -185,7 +183,7 @@ def _changes(entries: Sequence[ChangeDocument]) -> Iterator[str]:
 
 
 def _categories(run: RunDocument) -> Iterator[str]:
-    yield f"<details><summary>{_escape(run['method'])} on {_escape(run['dataset'])}"
+    yield f"<details><summary>{_text(run['method'])} on {_text(run['dataset'])}"
     yield "per category, with golden and published precision</summary>"
     yield ""
     for protocol, own in of_protocols(labels(run["precision"])).items():
@@ -196,14 +194,14 @@ def _categories(run: RunDocument) -> Iterator[str]:
                 parts = [_count(Cell.measured(entry["measured"])) if entry["measured"] else "n/a"]
                 parts += [f"{source} {cell.percent}" for source, cell in other_cells(entry)]
                 cells.append("<br>".join(parts))
-            lines.append([_escape(category), *cells])
+            lines.append([_text(category), *cells])
         yield from _table(_head("correct", protocol, own), lines)
     for line in run["lacking"]:
-        yield f"- n/a: {_escape(line)}"
+        yield f"- n/a: {_text(line)}"
     if run["lacking"]:
         yield ""
     if message := contract_message(run["contract"]):
-        yield _escape(message)
+        yield _text(message)
         yield ""
     yield "</details>"
     yield ""
@@ -216,13 +214,13 @@ def _beside(run: RunDocument) -> Iterator[str]:
         tables = list(side_tables(run, kind))
         if not tables:
             continue
-        yield f"<details><summary>{_escape(run_title(run))}: {kind}</summary>"
+        yield f"<details><summary>{_text(run_title(run))}: {kind}</summary>"
         yield ""
         for table in tables:
             yield from _table(
-                [_escape(table.title), *map(_escape, table.columns)],
+                [_text(table.title), *map(_text, table.columns)],
                 [
-                    [_escape(category), *map(_side_cell, cells)]
+                    [_text(category), *map(_side_cell, cells)]
                     for category, cells in table.lines.items()
                 ],
             )
@@ -238,7 +236,7 @@ def _side_cell(cell: SideCell) -> str:
 def _head(words: str, protocol: str, own: Sequence[str]) -> list[str]:
     """The first line of a table that has the columns of a protocol."""
     title = protocol_title(words, protocol)
-    return [_escape(title), *(_escape(split_label(label)[1]) for label in own)]
+    return [_text(title), *(_text(split_label(label)[1]) for label in own)]
 
 
 def _cell(cell: Cell | None) -> str:
@@ -263,24 +261,14 @@ def _table(
 
 
 def _fenced(lines: Sequence[str]) -> Iterator[str]:
-    """Text from data, verbatim: a fence longer than any in it."""
-    shown = [line for text in lines for line in text.splitlines()][:_SHOWN]
-    longest = max((len(run) for line in shown for run in re.findall("`+", line)), default=0)
-    fence = "`" * max(3, longest + 1)
-    yield fence + "text"
-    yield from shown
-    yield fence
+    """Text from data, as it is."""
+    shown = [line for text in lines for line in text.splitlines()]
+    yield from markdown_fence(shown[:_SHOWN])
     yield ""
-    yield from _rest(sum(len(text.splitlines()) for text in lines))
+    yield from _rest(len(shown))
 
 
 def _rest(count: int) -> Iterator[str]:
     if count > _SHOWN:
         yield f"and {count - _SHOWN} more (report.json has all)"
         yield ""
-
-
-def _escape(text: str) -> str:
-    """Text from data so that Markdown and the HTML in it leave it as it is."""
-    text = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return re.sub(r"([\\`*_\[\]#!|~])", r"\\\1", text)

@@ -210,14 +210,18 @@ def _guard(entry: PrecisionDocument) -> SideCell:
 
 def _score(entry: ScoreDocument) -> SideCell:
     now, before = entry["measured"], entry["golden"]
+
+    def words(value: float) -> str:
+        return f"{100 * value:.1f} %" if entry["share"] else f"{value:.4g}"
+
     if now is not None:
-        told = f"{now:.4g}"
+        told = words(now)
     else:
         told = "infinite" if entry["samples"] else _UNKNOWN
     if before is None or now == before:
         return SideCell(told, "", worse=False)
     lost = now is None or (now > before if entry["better"] == "lower" else now < before)
-    return SideCell(told, f"{before:.4g}", worse=lost)
+    return SideCell(told, words(before), worse=lost)
 
 
 def labels(entries: Sequence[_Entry]) -> list[str]:
