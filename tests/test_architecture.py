@@ -71,9 +71,9 @@ ARROWS: Mapping[str, set[str]] = {
         "_open3d",
     },
     "suite": {"session", "timing", "checks", "evaluation", "types"},
-    "listing": {"registry", "types"},
+    "listing": {"protocols", "registry", "types"},
     "new_adapter": {"registry"},
-    "plugin": {"session", "listing", "golden", "reading"},
+    "plugin": {"session", "listing", "golden", "reading", "types"},
     "cli": {
         "session",
         "fetching",

@@ -35,7 +35,6 @@ from pytest_cpas.documents import (
     VerdictDocument,
 )
 from pytest_cpas.evaluation import Run
-from pytest_cpas.facts import Fact, fact
 from pytest_cpas.golden import RunTable, TableSample, differences, shared_columns
 from pytest_cpas.golden.published import (
     count_problems,
@@ -54,6 +53,7 @@ from pytest_cpas.protocols import (
     count_columns,
     score_columns,
 )
+from pytest_cpas.report.lacking import lacking
 from pytest_cpas.report.published import points, published_count, published_document
 from pytest_cpas.types import Required, Verdict
 from pytest_cpas.types.samples import ALL
@@ -257,38 +257,6 @@ def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
                 }
             )
     return scores
-
-
-def lacking(table: RunTable) -> list[str]:
-    """The columns in which no sample could be judged, and why; a line for each fact that lacks."""
-    answers = [sample.facts for sample in table.samples.values()]
-    unknown: dict[str, list[Column]] = {}
-    for protocol in table.protocols:
-        for column in (*protocol.counts, *protocol.scores):
-            for made in column.facts:
-                if answers and all(facts.get(made.name) is None for facts in answers):
-                    unknown.setdefault(made.name, []).append(column)
-    lines = [_lacking(table, fact(name), columns) for name, columns in unknown.items()]
-    if table.ranking is None and table.ranking_columns:
-        keys = ", ".join(column.key for column in table.ranking_columns)
-        lines.append(
-            f"{keys} rank all detections of an image, which only stored predictions can have"
-            " (--cpas-predictions)"
-        )
-    return lines
-
-
-def _lacking(table: RunTable, made: Fact, columns: Sequence[Column]) -> str:
-    keys = ", ".join(column.key for column in columns)
-    verb = "needs" if len(columns) == 1 else "need"
-    if made.name not in table.definitions:
-        again = " ".join(f"--cpas-protocol {n}" for n in dict.fromkeys(c.protocol for c in columns))
-        return (
-            f"{keys} {verb} the fact {made.name}, which these rows do not have: run again with"
-            f" {again}"
-        )
-    parts = " and ".join(sorted(made.needs)) or "pose"
-    return f"{keys} {verb} the fact {made.name}: the method, or the data set, has no {parts}"
 
 
 def _in_order(categories: Collection[str]) -> list[str]:
