@@ -10,6 +10,9 @@ from pytest_cpas.protocols import Column, count_columns, score_columns
 
 __all__ = ["lacking"]
 
+#: Columns that a line names before it only counts the rest.
+_NAMED = 6
+
 
 def lacking(table: RunTable) -> list[str]:
     """The columns in which no sample could be judged, and why; a line for each fact that lacks."""
@@ -22,16 +25,15 @@ def lacking(table: RunTable) -> list[str]:
                 unknown.setdefault(made.name, []).append(column)
     lines = [_lacking(table, fact(name), columns) for name, columns in unknown.items()]
     if table.ranking is None and table.ranking_columns:
-        keys = ", ".join(column.key for column in table.ranking_columns)
         lines.append(
-            f"{keys} rank all detections of an image, which only stored predictions can have"
-            " (--cpas-predictions)"
+            f"{_named(table.ranking_columns)} rank all detections of an image, which only stored"
+            " predictions can have (--cpas-predictions)"
         )
     return lines
 
 
 def _lacking(table: RunTable, made: Fact, columns: Sequence[Column]) -> str:
-    keys = ", ".join(column.key for column in columns)
+    keys = _named(columns)
     verb = "needs" if len(columns) == 1 else "need"
     if made.name not in table.definitions:
         again = " ".join(f"--cpas-protocol {n}" for n in dict.fromkeys(c.protocol for c in columns))
@@ -41,3 +43,10 @@ def _lacking(table: RunTable, made: Fact, columns: Sequence[Column]) -> str:
         )
     parts = " and ".join(sorted(made.needs)) or "pose"
     return f"{keys} {verb} the fact {made.name}: the method, or the data set, has no {parts}"
+
+
+def _named(columns: Sequence[Column]) -> str:
+    """Some columns by their keys, and how many more."""
+    rest = len(columns) - _NAMED
+    named = ", ".join(column.key for column in columns[: _NAMED if rest > 1 else None])
+    return f"{named} and {rest} more" if rest > 1 else named

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 
 import pytest
@@ -101,7 +102,8 @@ def _print_tables(terminal: Terminal, run: RunDocument) -> None:
             for lines in _tables(protocol_title(first, protocol), own):
                 terminal.write_table(lines)
     for line in run["lacking"]:
-        terminal.write_line(f"n/a: {line}")
+        for part in textwrap.wrap(f"n/a: {line}", _WIDTH, subsequent_indent="  "):
+            terminal.write_line(part)
 
 
 #: A column's label, a category and what stands there.
