@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from pytest_cpas.evaluation import Answer, Row, Run
 from pytest_cpas.facts import Facts, fact
@@ -91,7 +91,8 @@ class RunTable:
     """What a run gave, sample by sample; recorded, it is a golden table.
 
     ``identity`` must agree for two tables to be comparable, ``definitions`` (of facts, by name) for
-    two columns to be, ``provenance`` need not. ``listed`` counts per category the samples that
+    two columns to be, ``provenance`` need not; ``own_provenance`` is that of categories which were
+    recorded by another run than the rest. ``listed`` counts per category the samples that
     there are, judged or not; ``seeds`` how often each sample was judged. ``outdated``: it was read
     from files of an older form, which know less.
     """
@@ -101,10 +102,11 @@ class RunTable:
     identity: Mapping[str, str]
     definitions: Mapping[str, str]
     provenance: Mapping[str, str]
-    protocols: Sequence[Protocol]
+    protocols: tuple[Protocol, ...]
     samples: Mapping[str, TableSample]
     listed: Mapping[str, int]
     seeds: int = 1
+    own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     outdated: bool = False
 
     @classmethod
@@ -153,6 +155,10 @@ class RunTable:
             [sample.category for sample in samples],
             [sample.facts for sample in samples],
         )
+
+    def provenance_of(self, category: str) -> Mapping[str, str]:
+        """What else should be known of the run that gave a category."""
+        return self.own_provenance.get(category, self.provenance)
 
     def without(self, categories: Collection[str]) -> RunTable:
         """This table without some categories, as if they were not there."""
@@ -215,7 +221,13 @@ class RunTable:
                 name: old[name] if name in old and sample.is_close_to(old[name]) else sample
                 for name, sample in now.items()
             }
-        return replace(self, samples=kept | now)
+        if not kept:
+            return replace(self, samples=now)
+        still = {sample.category for sample in kept.values()}
+        own = {name: told for name, told in previous.own_provenance.items() if name in still}
+        if self.provenance != previous.provenance:
+            own |= dict.fromkeys(counts, self.provenance)
+        return replace(self, samples=kept | now, provenance=previous.provenance, own_provenance=own)
 
 
 def table_samples(

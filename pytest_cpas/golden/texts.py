@@ -3,9 +3,9 @@
 ``run.toml``: what the table is of, and a digest of the facts of each category. ``facts.csv``: one
 line per sample and seed, sorted by category. ``PROTOCOL.toml``: what the columns of a protocol are,
 and one cell per line. No text says anything that two changes of different categories would both
-have to change, so that they can be merged line by line.
+have to change, and none of theirs stand side by side, so that they can be merged line by line.
 
-Cells follow from facts: on reading they are made anew and compared.
+Cells follow from facts: on reading all but the facts is written anew and compared.
 """
 
 from __future__ import annotations
@@ -57,21 +57,26 @@ def table_texts(table: RunTable) -> dict[str, str]:
     """The text of each file, by its name."""
     groups = _fact_lines(table)
     head = ",".join((*_KEYS, *table.definitions, _FAILURE))
+    digests = {category: _digest(text) for category, text in groups.items()}
     return {
         FACTS: "".join([f"{head}\n", *groups.values()]),
         **{
             protocol_file(protocol.name): _protocol_toml(table, protocol)
             for protocol in table.protocols
         },
-        RUN: _run_toml(table, groups),
+        RUN: _run_toml(table, digests),
     }
 
 
 def _fact_lines(table: RunTable) -> dict[str, str]:
-    """The lines of each category."""
+    """The lines of each category, after an empty one: git takes changes of lines that touch each
+    other for a conflict."""
     groups: dict[str, io.StringIO] = {}
     for name, sample in sorted(table.samples.items(), key=lambda item: (item[1].category, item[0])):
-        writer = csv.writer(groups.setdefault(sample.category, io.StringIO()), lineterminator="\n")
+        if sample.category not in groups:
+            groups[sample.category] = io.StringIO("\n")
+            groups[sample.category].seek(0, io.SEEK_END)
+        writer = csv.writer(groups[sample.category], lineterminator="\n")
         for seed, answer in enumerate(sample.answers):
             values = [answer.facts.get(fact) for fact in table.definitions]
             told = ["" if value is None else repr(float(value)) for value in values]
@@ -79,22 +84,29 @@ def _fact_lines(table: RunTable) -> dict[str, str]:
     return {category: text.getvalue() for category, text in groups.items()}
 
 
-def _run_toml(table: RunTable, groups: Mapping[str, str]) -> str:
+def _run_toml(table: RunTable, digests: Mapping[str, str]) -> str:
+    """``digests``: of the lines of each category, in their order."""
     names = ", ".join(toml_string(protocol.name) for protocol in table.protocols)
-    lines = [_TITLE, f"format = {FORMAT}", f"seeds = {table.seeds}", f"protocols = [{names}]"]
+    lines = [f"seeds = {table.seeds}", f"protocols = [{names}]"]
     for title in ("identity", "definitions", "provenance"):
         values: Mapping[str, str] = getattr(table, title)
         order = values if title == "definitions" else sorted(values)
-        lines += ["", f"[{title}]"]
-        lines += [f"{toml_key(key)} = {toml_string(values[key])}" for key in order]
-    for category, text in groups.items():
-        lines += [
-            "",
-            f"[categories.{toml_string(category)}]",
-            f"samples = {len(text.splitlines()) // table.seeds}",
-            f"facts = {toml_string(_digest(text))}",
-        ]
-    return "\n".join(lines) + "\n"
+        lines += ["", f"[{title}]", *_toml_lines({key: values[key] for key in order})]
+    conditions = "\n".join([*lines, *map(_protocol_head, table.protocols)])
+    head = [_TITLE, f"format = {FORMAT}", f"conditions = {toml_string(_digest(conditions))}"]
+    counts = Counter(sample.category for sample in table.samples.values())
+    for category, digest in digests.items():
+        section = f"categories.{toml_string(category)}"
+        lines += ["", f"[{section}]", f"samples = {counts[category]}"]
+        own = _toml_lines(dict(sorted(table.own_provenance.get(category, {}).items())))
+        lines += [f"digest = {toml_string(_digest(''.join([digest, *own])))}"]
+        if own:
+            lines += ["", f"[{section}.provenance]", *own]
+    return "\n".join([*head, *lines]) + "\n"
+
+
+def _toml_lines(values: Mapping[str, str]) -> list[str]:
+    return [f"{toml_key(key)} = {toml_string(value)}" for key, value in values.items()]
 
 
 def toml_key(key: str) -> str:
@@ -108,6 +120,15 @@ def _digest(text: str) -> str:
 
 
 def _protocol_toml(table: RunTable, protocol: Protocol) -> str:
+    lines = [_protocol_head(protocol)]
+    for category, cells in _cells(table, protocol).items():
+        lines += ["", f"[cells.{toml_string(category)}]"]
+        lines += [f"{key} = {toml_string(cell)}" for key, cell in cells.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _protocol_head(protocol: Protocol) -> str:
+    """What a protocol is, without a table's cells."""
     lines = [
         _TITLE,
         f"name = {toml_string(protocol.name)}",
@@ -118,10 +139,7 @@ def _protocol_toml(table: RunTable, protocol: Protocol) -> str:
     for column in protocol.columns:
         lines += ["", "[[columns]]"]
         lines += [f"{key} = {_toml_value(value)}" for key, value in column.declared().items()]
-    for category, cells in _cells(table, protocol).items():
-        lines += ["", f"[cells.{toml_string(category)}]"]
-        lines += [f"{key} = {toml_string(cell)}" for key, cell in cells.items()]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _toml_value(value: object) -> str:
@@ -169,8 +187,7 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
     for section in sections.values():
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
             raise GoldenError(f"{RUN}: {', '.join(sections)} must be tables of strings")
-    read = [_protocol(name, texts) for name in protocol_names(texts[RUN])]
-    protocols = [protocol for protocol, _ in read]
+    protocols = tuple(_protocol(name, texts) for name in protocol_names(texts[RUN]))
     lines = io.StringIO(texts[FACTS], newline="")
     answers, digests = _read_facts(lines, list(sections["definitions"]), seeds)
     table = RunTable(
@@ -183,19 +200,26 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
         samples=table_samples(protocols, answers),
         listed=Counter(category for category, _ in answers.values()),
         seeds=seeds,
+        own_provenance=_own_provenance(content.get("categories")),
     )
-    stated = content.get("categories", {})
-    if stated != {
-        category: {"samples": table.listed[category], "facts": digest}
-        for category, digest in digests.items()
-    }:
-        raise GoldenError(f"{FACTS} is not the file that {RUN} was made with")
-    for protocol, cells in read:
-        if cells != _cells(table, protocol):
-            raise GoldenError(
-                f"the cells of {protocol_file(protocol.name)} do not follow from {FACTS}"
-            )
+    if _run_toml(table, digests) != texts[RUN]:
+        raise GoldenError(f"{FACTS} is not the file that {RUN} was made with, or that was edited")
+    for protocol in protocols:
+        if _protocol_toml(table, protocol) != texts[protocol_file(protocol.name)]:
+            raise GoldenError(f"{protocol_file(protocol.name)} is not what follows from {FACTS}")
     return table
+
+
+def _own_provenance(categories: object) -> dict[str, dict[str, str]]:
+    """That of categories which were recorded by a run of their own."""
+    told = {}
+    for category, section in categories.items() if isinstance(categories, dict) else ():
+        own = section.get("provenance", {}) if isinstance(section, dict) else 0
+        if not isinstance(own, dict) or not all(isinstance(value, str) for value in own.values()):
+            raise GoldenError(f"{RUN}: [categories.{category}] is not what is recorded")
+        if own:
+            told[category] = own
+    return told
 
 
 def protocol_names(run_toml: str) -> list[str]:
@@ -215,20 +239,20 @@ def _toml(name: str, text: str) -> dict[str, Any]:
         raise GoldenError(f"{name}: {error}") from error
 
 
-def _protocol(name: str, texts: Mapping[str, str]) -> tuple[Protocol, object]:
-    """A protocol of the table, and its cells."""
+def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
+    """A protocol of the table."""
     file = protocol_file(name)
     if file not in texts:
         raise GoldenError(f"{file} is missing")
     content = _toml(file, texts[file])
-    cells = content.pop("cells", {})
+    content.pop("cells", None)
     try:
         protocol = Protocol.parse(content, file)
     except ProtocolError as error:
         raise GoldenError(str(error)) from error
     if protocol.name != name:
         raise GoldenError(f"{file}: name is {protocol.name!r}, expected {name!r}")
-    return protocol, cells
+    return protocol
 
 
 def _read_facts(
@@ -249,7 +273,8 @@ def _read_facts(
         raise GoldenError(f"{FACTS}: expected the columns {', '.join((*_KEYS, *names, _FAILURE))}")
     seen.clear()
     try:
-        for category, name, seed, *values, failure in reader:
+        for line in filter(None, reader):
+            category, name, seed, *values, failure = line
             digest = digests.setdefault(category, hashlib.sha256())
             digest.update("".join(seen).encode("utf-8", "surrogatepass"))
             seen.clear()

@@ -125,7 +125,10 @@ def test_flips_count_what_the_cells_count():
         lacking = shapeless | more
         return RunTable.of(
             a_run(),
-            [with_facts(r, fscore_1cm=None) if r.sample in lacking else r for r in rows(**rotation)],
+            [
+                with_facts(r, fscore_1cm=None) if r.sample in lacking else r
+                for r in rows(**rotation)
+            ],
         )
 
     old, new = of(set()), of(set(), s_05=7)
