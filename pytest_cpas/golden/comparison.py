@@ -13,7 +13,7 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,27 +110,35 @@ def compare(
         return [Verdict(Word.NOT_CHECKED, ALL, "no category was asked for")]
     columns = shared_columns(golden, new)
     pairings = [Pairing.of(golden, new, category) for category in categories]
-    # a commit changes often, and the digest of the code tells whether that means anything
-    told = {key: fact for key, fact in golden.provenance.items() if key != "revision"}
-    now = {key: fact for key, fact in new.provenance.items() if key in told}
-    notes = [f"note: {line}" for line in differences(told, now)]
-    if golden.outdated:
-        notes.append(
-            "note: the golden table has the form of version 1, which knows less; record it anew"
-            " with --snapshot-update"
-        )
+    notes = {category: _notes(golden, new, category) for category in categories}
     others = _other_columns(golden, new, columns)
     if not any(sample.wavers for sample in golden.samples.values()):
         seeds = golden.seeds, new.seeds
-        exact = [_exact_verdict(pairing, columns, seeds, notes) for pairing in pairings]
+        exact = [_exact_verdict(p, columns, seeds, notes[p.category]) for p in pairings]
         return [*exact, *others]
     pairings.append(Pairing.of(golden, new, None))
+    notes[ALL] = list(dict.fromkeys(line for lines in notes.values() for line in lines))
     answers = answers_of(golden, new, columns)
     judge = _Spread(golden.seeds, columns, Spread(answers), alarm, notes)
     verdicts = [judge.verdict(pairing) for pairing in pairings]
     if all(verdict.word is Word.CANNOT_TELL for verdict in verdicts):
         verdicts = [replace(verdict, word=Word.NOT_CHECKED) for verdict in verdicts]
     return [*verdicts, *others]
+
+
+def _notes(golden: RunTable, new: RunTable, category: str) -> list[str]:
+    """What else was otherwise when a category was recorded."""
+    # a commit changes often, and the digest of the code tells whether that means anything
+    then = golden.provenance_of(category)
+    told = {key: fact for key, fact in then.items() if key != "revision"}
+    now = {key: fact for key, fact in new.provenance_of(category).items() if key in told}
+    notes = [f"note: {line}" for line in differences(told, now)]
+    if golden.outdated:
+        notes.append(
+            "note: the golden table has the form of version 1, which knows less; record it anew"
+            " with --snapshot-update"
+        )
+    return notes
 
 
 def _other_columns(
@@ -197,7 +205,7 @@ class _Spread:
     columns: Sequence[SharedColumn]
     spread: Spread
     alarm: float
-    notes: Sequence[str]
+    notes: Mapping[str, Sequence[str]]
 
     def verdict(self, pairing: Pairing) -> Verdict:
         """The verdict on a category, or on all samples."""
@@ -223,15 +231,16 @@ class _Spread:
         if not words:
             return self._unchanged(pairing)
         if words[0] is Word.REGRESSED:
-            return Verdict(words[0], scope, "\n  ".join([*lines, *self.notes]))
+            return Verdict(words[0], scope, "\n  ".join([*lines, *self.notes[scope]]))
         if words == [Word.PROBABLY_WORSE]:
             advice = (
                 "p is the share of all runs without a change in which anything so improbable is"
                 " seen anywhere; to be sure, judge it under several seeds (--cpas-jitter)"
             )
-            return Verdict(words[0], scope, "\n  ".join([*lines, advice, *self.notes]))
+            return Verdict(words[0], scope, "\n  ".join([*lines, advice, *self.notes[scope]]))
         # worse here and better there is neither
-        return _to_record(words[0] if len(words) == 1 else Word.CHANGED, pairing, lines, self.notes)
+        word = words[0] if len(words) == 1 else Word.CHANGED
+        return _to_record(word, pairing, lines, self.notes[scope])
 
     @functools.cached_property
     def _lucky(self) -> Spread:
