@@ -64,6 +64,9 @@ class Word(VerdictWord):
     #: There is no table, or one whose seeds could show no loss at all, or only a part of the
     #: samples was judged (and agrees).
     NOT_CHECKED = "NOT CHECKED", "skipped", "failed"
+    #: The table has the form of an earlier version, which knew less: record it anew. What it knows
+    #: is judged all the same.
+    OUTDATED = "OUTDATED", "passed"
     #: With --snapshot-update: the table was written.
     RECORDED = "RECORDED", "passed"
     #: With --snapshot-update: it was not, for the reason that is given.
@@ -132,13 +135,7 @@ def _notes(golden: RunTable, new: RunTable, category: str) -> list[str]:
     then = golden.provenance_of(category)
     told = {key: fact for key, fact in then.items() if key != "revision"}
     now = {key: fact for key, fact in new.provenance_of(category).items() if key in told}
-    notes = [f"note: {line}" for line in differences(told, now)]
-    if golden.outdated:
-        notes.append(
-            "note: the golden table has the form of version 1, which knows less; record it anew"
-            " with --snapshot-update"
-        )
-    return notes
+    return [f"note: {line}" for line in differences(told, now)]
 
 
 def _other_columns(
@@ -155,7 +152,22 @@ def _other_columns(
             " anew with --snapshot-update"
         )
         verdicts.append(Verdict(Word.STALE, ALL, told))
+    if golden.outdated:
+        told = (
+            "the golden table has the form of version 1, which knew less; if these results are"
+            " right, record it anew with --snapshot-update"
+        )
+        verdicts.append(Verdict(Word.OUTDATED, COMPLETENESS, told))
     then, here = ([protocol.name for protocol in table.protocols] for table in (golden, new))
+    gone = [key for key in old if key not in now and key.partition(".")[0] in here]
+    new_columns = [key for key in now if key not in old and key.partition(".")[0] in then]
+    for keys, where in ((gone, "the golden table alone has"), (new_columns, "this run alone has")):
+        if keys:
+            told = (
+                f"{where} {', '.join(keys)}; if these results are right, record them anew with"
+                " --snapshot-update"
+            )
+            verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
     if lacking := [name for name in then if name not in here]:
         told = (
             f"the golden table has columns of {', '.join(lacking)}, which this run was not judged"

@@ -19,7 +19,6 @@ from pytest_cpas.evaluation import Answer
 from pytest_cpas.golden import GoldenError, RunTable, read_golden, record
 from pytest_cpas.golden.texts import parse_table, table_texts
 
-
 #: The files of a table in tests/tables.py.
 FILES = {"run.toml", "facts.csv", "cpas.toml"}
 
