@@ -29,12 +29,14 @@ from pytest_cpas.evaluation.rows import (
     precision_table,
 )
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
 __all__ = [
     "DEFINITIONS",
     "FSCORE_DISTANCE",
     "THRESHOLDS",
     "Header",
+    "Limit",
     "MergedRun",
     "MethodError",
     "MethodRun",
@@ -48,7 +50,9 @@ __all__ = [
     "Shard",
     "StoredRun",
     "Table",
+    "Watchdog",
     "assign_detections",
+    "can_watch",
     "check_answers",
     "decode_estimates",
     "decode_shape",
@@ -58,6 +62,7 @@ __all__ = [
     "measure",
     "merge",
     "outcomes",
+    "parse_seconds",
     "precision_table",
     "read_frames",
     "read_results",

@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
@@ -14,6 +15,7 @@ from pytest_cpas.evaluation.measuring import declared_part, measure
 from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.evaluation.rows import Row, outcomes
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.evaluation.watchdog import Limit, Limited
 from pytest_cpas.reading.files import sha256
 from pytest_cpas.types import (
     AnswerError,
@@ -83,6 +85,8 @@ class MethodRun(Run):
         self.seed, self.seeds, self.shared = seed, seeds, shared
         self.loading: Loading = shared.loading if shared else Loading(method, weights, device)
         self._keeps_shapes = keeps_shapes
+        #: How long a prediction may take, set by whoever can tell of one that took longer.
+        self.limit: Limit | None = None
         self.under_contract = shared is None
         self.info = method.info
         reader = dataset.wrapped if isinstance(dataset, WrappedDataset) else dataset
@@ -135,6 +139,10 @@ class MethodRun(Run):
         made.load(self._weights, self._device)
         return made
 
+    def limited(self, method: Method) -> Method:
+        """``method``, loaded or another instance, as the contract is checked: within the limit."""
+        return method if self.limit is None else cast(Method, Limited(method, self.limit))
+
     @raised_as(DataError)
     def read(self, ref: SampleRef) -> Sample:
         """One sample; :class:`DataError` if it is damaged."""
@@ -164,7 +172,13 @@ class MethodRun(Run):
 
     def _judge(self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str) -> Row:
         try:
-            answers = method.predict([sample.observation.copy()], seed)
+            batch = [sample.observation.copy()]
+            if self.limit is None:
+                answers = method.predict(batch, seed)
+            else:
+                answers = self.limit.predict(
+                    method, batch, seed, f"{where}: predict", sample=ref.id
+                )
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:

@@ -28,7 +28,8 @@ class RunOptions:
 
     Paths are as they are opened. ``golden`` is the folder of golden tables; ``seeds`` counts the
     seeds that each sample is judged under, from ``seed`` on; ``alarm`` is the probability of a
-    false alarm against a golden table of several seeds; ``reuse_any``: whether rows in ``results``
+    false alarm against a golden table of several seeds; ``timeout``: seconds that a prediction may
+    take per sample, None for any; ``reuse_any``: whether rows in ``results``
     serve that another program computed; ``others`` are the files of the runs to compare with.
     """
 
@@ -50,6 +51,7 @@ class RunOptions:
     update: bool = False
     require_golden: Required = False
     alarm: float = ALARM
+    timeout: float | None = None
     results: Path | None = None
     reuse_any: bool = False
     report: Path | None = None
@@ -57,7 +59,13 @@ class RunOptions:
 
     @classmethod
     def of(
-        cls, options: Namespace, here: Path, *, golden: Path, alarm: float = ALARM
+        cls,
+        options: Namespace,
+        here: Path,
+        *,
+        golden: Path,
+        alarm: float = ALARM,
+        timeout: float | None = None,
     ) -> RunOptions:
         """From the options of :mod:`pytest_cpas.plugin` (and syrupy's ``--snapshot-update``).
 
@@ -86,6 +94,7 @@ class RunOptions:
             update=_update(options),
             require_golden=options.cpas_require_golden,
             alarm=alarm,
+            timeout=timeout,
             results=_path(here, options.cpas_results),
             reuse_any=options.cpas_results_reuse == "any",
             report=_path(here, options.cpas_report),
