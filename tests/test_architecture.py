@@ -27,9 +27,11 @@ ARROWS: Mapping[str, set[str]] = {
     "adapting": {"_open3d", "metrics", "similarity", "stages", "types"},
     "registry": {"types"},
     "datasets": {"reading", "similarity", "types", "_files", "_open3d"},
-    "evaluation": {"datasets", "metrics", "reading", "types", "_files"},
-    "golden": {"evaluation", "metrics", "reading", "types", "_files"},
-    "diagnosis": {"_deprecation", "golden", "evaluation", "metrics", "types"},
+    "facts": {"metrics", "types"},
+    "protocols": {"facts", "metrics", "reading", "types"},
+    "evaluation": {"protocols", "facts", "datasets", "metrics", "reading", "types", "_files"},
+    "golden": {"protocols", "facts", "evaluation", "metrics", "reading", "types", "_files"},
+    "diagnosis": {"_deprecation", "facts", "golden", "evaluation", "metrics", "types"},
     "checks": {
         "golden",
         "evaluation",
@@ -49,6 +51,7 @@ ARROWS: Mapping[str, set[str]] = {
         "checks",
         "diagnosis",
         "golden",
+        "protocols",
         "evaluation",
         "datasets",
         "metrics",
@@ -63,6 +66,7 @@ ARROWS: Mapping[str, set[str]] = {
         "checks",
         "diagnosis",
         "golden",
+        "protocols",
         "evaluation",
         "datasets",
         "reading",
@@ -178,6 +182,12 @@ def test_table_names_what_is_there():
         (
             "pytest_cpas/metrics/pose.py",
             "def late():\n    from pytest_cpas.evaluation import Row",
+            "evaluation",
+        ),
+        ("pytest_cpas/facts/answers.py", "from pytest_cpas.protocols import Column", "protocols"),
+        (
+            "pytest_cpas/protocols/judging.py",
+            "from pytest_cpas.evaluation import Row",
             "evaluation",
         ),
         (

@@ -122,11 +122,15 @@ def test_wheel_holds_everything(tmp_path):
         "pytest_cpas/report/page/page.css",
         "pytest_cpas/report/page/page.js",
         "pytest_cpas/datasets/real275.known.toml",
-        "pytest_cpas/shipped_golden/recorded/icp/synthetic-tabletop/table.toml",
-        "pytest_cpas/shipped_golden/recorded/icp/synthetic-handheld/samples.csv",
+        "pytest_cpas/protocols/shipped/cpas.toml",
+        "pytest_cpas/protocols/shipped/omni6dpose.toml",
         "method_adapters/py.typed",
         "method_adapters/icp_priors.npz",
     } <= names
+    tables = [path for path in (ROOT / "golden").rglob("*.*") if path.is_file()]
+    shipped = {f"pytest_cpas/shipped_golden/{path.relative_to(ROOT / 'golden')}" for path in tables}
+    assert {path.parent.name for path in tables} >= {"synthetic-tabletop", "synthetic-handheld"}
+    assert shipped <= names
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "golden/"))]
 
 

@@ -19,14 +19,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.golden.spread import ALARM, DOUBT, Answers, Spread
 from pytest_cpas.metrics.precision import Count
+from pytest_cpas.protocols import PAPER, shipped_protocol
 
 PATH = Path(__file__).parents[1] / "tests" / "golden" / "icp_seeds.csv"
 OTHERS = 100
 #: Samples of a category in the model.
 SIZE = 21
+#: The columns of a digit in the file, the highest bit first.
+COLUMNS = [column for column in shipped_protocol(PAPER).counts if not column.guard]
 #: A loss is planted in samples that this share of all seeds gets right, at 10 deg and 2 cm.
 EASY = 0.9
 
@@ -44,7 +46,7 @@ class Drawn:
     def split(self, run: int = 1) -> Answers:
         """The last ``run`` seeds as the run, the others as the recording."""
         recorded, new = self.correct[:, :-run], self.correct[:, -run:].copy()
-        known = np.ones((len(recorded), len(THRESHOLDS)), bool)
+        known = np.ones((len(recorded), len(COLUMNS)), bool)
         return Answers(self.categories, recorded, new, known)
 
     def plant(self, answers: Answers, loss: int, rng: np.random.Generator) -> str:
@@ -67,7 +69,7 @@ class Icp:
             lines = list(csv.DictReader(file))
         self.categories = np.array([line["category"] for line in lines])
         digits = np.array([[int(digit, 16) for digit in line["seeds"]] for line in lines])
-        shifts = np.arange(len(THRESHOLDS))[::-1]
+        shifts = np.arange(len(COLUMNS))[::-1]
         self.correct = (digits[..., None] >> shifts & 1).astype(bool)
         self.easy = self.correct[..., 0].mean(axis=1) >= EASY
 
@@ -89,7 +91,7 @@ class Icp:
 def least(answers: Answers, scopes: Sequence[str], *, better: bool = False) -> float:
     """The p of the most improbable answer on ``scopes``."""
     spread = Spread(answers)
-    columns = range(len(THRESHOLDS))
+    columns = range(len(COLUMNS))
     return min(spread.p(scope, column, better=better) for scope in scopes for column in columns)
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,6 +64,9 @@ class Word(VerdictWord):
     #: There is no table, or one whose seeds could show no loss at all, or only a part of the
     #: samples was judged (and agrees).
     NOT_CHECKED = "NOT CHECKED", "skipped", "failed"
+    #: The table has the form of an earlier version, which knew less: record it anew. What it knows
+    #: is judged all the same.
+    OUTDATED = "OUTDATED", "passed"
     #: With --snapshot-update: the table was written.
     RECORDED = "RECORDED", "passed"
     #: With --snapshot-update: it was not, for the reason that is given.
@@ -110,27 +113,29 @@ def compare(
         return [Verdict(Word.NOT_CHECKED, ALL, "no category was asked for")]
     columns = shared_columns(golden, new)
     pairings = [Pairing.of(golden, new, category) for category in categories]
-    # a commit changes often, and the digest of the code tells whether that means anything
-    told = {key: fact for key, fact in golden.provenance.items() if key != "revision"}
-    now = {key: fact for key, fact in new.provenance.items() if key in told}
-    notes = [f"note: {line}" for line in differences(told, now)]
-    if golden.outdated:
-        notes.append(
-            "note: the golden table has the form of version 1, which knows less; record it anew"
-            " with --snapshot-update"
-        )
+    notes = {category: _notes(golden, new, category) for category in categories}
     others = _other_columns(golden, new, columns)
     if not any(sample.wavers for sample in golden.samples.values()):
         seeds = golden.seeds, new.seeds
-        exact = [_exact_verdict(pairing, columns, seeds, notes) for pairing in pairings]
+        exact = [_exact_verdict(p, columns, seeds, notes[p.category]) for p in pairings]
         return [*exact, *others]
     pairings.append(Pairing.of(golden, new, None))
+    notes[ALL] = list(dict.fromkeys(line for lines in notes.values() for line in lines))
     answers = answers_of(golden, new, columns)
     judge = _Spread(golden.seeds, columns, Spread(answers), alarm, notes)
     verdicts = [judge.verdict(pairing) for pairing in pairings]
     if all(verdict.word is Word.CANNOT_TELL for verdict in verdicts):
         verdicts = [replace(verdict, word=Word.NOT_CHECKED) for verdict in verdicts]
     return [*verdicts, *others]
+
+
+def _notes(golden: RunTable, new: RunTable, category: str) -> list[str]:
+    """What else was otherwise when a category was recorded."""
+    # a commit changes often, and the digest of the code tells whether that means anything
+    then = golden.provenance_of(category)
+    told = {key: fact for key, fact in then.items() if key != "revision"}
+    now = {key: fact for key, fact in new.provenance_of(category).items() if key in told}
+    return [f"note: {line}" for line in differences(told, now)]
 
 
 def _other_columns(
@@ -147,7 +152,22 @@ def _other_columns(
             " anew with --snapshot-update"
         )
         verdicts.append(Verdict(Word.STALE, ALL, told))
+    if golden.outdated:
+        told = (
+            "the golden table has the form of version 1, which knew less; if these results are"
+            " right, record it anew with --snapshot-update"
+        )
+        verdicts.append(Verdict(Word.OUTDATED, COMPLETENESS, told))
     then, here = ([protocol.name for protocol in table.protocols] for table in (golden, new))
+    gone = [key for key in old if key not in now and key.partition(".")[0] in here]
+    new_columns = [key for key in now if key not in old and key.partition(".")[0] in then]
+    for keys, where in ((gone, "the golden table alone has"), (new_columns, "this run alone has")):
+        if keys:
+            told = (
+                f"{where} {', '.join(keys)}; if these results are right, record them anew with"
+                " --snapshot-update"
+            )
+            verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
     if lacking := [name for name in then if name not in here]:
         told = (
             f"the golden table has columns of {', '.join(lacking)}, which this run was not judged"
@@ -197,7 +217,7 @@ class _Spread:
     columns: Sequence[SharedColumn]
     spread: Spread
     alarm: float
-    notes: Sequence[str]
+    notes: Mapping[str, Sequence[str]]
 
     def verdict(self, pairing: Pairing) -> Verdict:
         """The verdict on a category, or on all samples."""
@@ -223,15 +243,16 @@ class _Spread:
         if not words:
             return self._unchanged(pairing)
         if words[0] is Word.REGRESSED:
-            return Verdict(words[0], scope, "\n  ".join([*lines, *self.notes]))
+            return Verdict(words[0], scope, "\n  ".join([*lines, *self.notes[scope]]))
         if words == [Word.PROBABLY_WORSE]:
             advice = (
                 "p is the share of all runs without a change in which anything so improbable is"
                 " seen anywhere; to be sure, judge it under several seeds (--cpas-jitter)"
             )
-            return Verdict(words[0], scope, "\n  ".join([*lines, advice, *self.notes]))
+            return Verdict(words[0], scope, "\n  ".join([*lines, advice, *self.notes[scope]]))
         # worse here and better there is neither
-        return _to_record(words[0] if len(words) == 1 else Word.CHANGED, pairing, lines, self.notes)
+        word = words[0] if len(words) == 1 else Word.CHANGED
+        return _to_record(word, pairing, lines, self.notes[scope])
 
     @functools.cached_property
     def _lucky(self) -> Spread:

@@ -88,7 +88,7 @@ def parse_older(method: str, dataset: str, table_toml: str, samples_csv: str) ->
         identity={key: value for key, value in identity.items() if key not in names},
         definitions={now: identity[then] for then, now in names.items() if then in identity},
         provenance=provenance,
-        protocols=[protocol],
+        protocols=(protocol,),
         samples=samples,
         listed=Counter(sample.category for sample in samples.values()),
         seeds=seeds,

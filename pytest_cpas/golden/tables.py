@@ -7,7 +7,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from pytest_cpas.evaluation import Answer, Row, Run
 from pytest_cpas.facts import Facts, fact, in_order
@@ -95,10 +95,11 @@ class RunTable:
     """What a run gave, sample by sample; recorded, it is a golden table.
 
     ``identity`` must agree for two tables to be comparable, ``definitions`` (of facts, by name) for
-    two columns to be, ``provenance`` need not. ``listed`` counts per category the samples that
-    there are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the
-    detections of the data set, None where there are none, or no protocol ranks them.
-    ``outdated``: it was read from files of an older form, which know less.
+    two columns to be, ``provenance`` need not; ``own_provenance`` is that of categories which were
+    recorded by another run than the rest. ``listed`` counts per category the samples that there
+    are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the detections of
+    the data set, None where there are none, or no protocol ranks them. ``outdated``: it was read
+    from files of an older form, which know less.
     """
 
     method: str
@@ -106,11 +107,12 @@ class RunTable:
     identity: Mapping[str, str]
     definitions: Mapping[str, str]
     provenance: Mapping[str, str]
-    protocols: Sequence[Protocol]
+    protocols: tuple[Protocol, ...]
     samples: Mapping[str, TableSample]
     listed: Mapping[str, int]
     seeds: int = 1
     ranking: Ranking | None = None
+    own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     outdated: bool = False
 
     @classmethod
@@ -175,6 +177,10 @@ class RunTable:
         answers = (answer for sample in self.samples.values() for answer in sample.answers)
         return tuple(in_order({name for answer in answers for name in answer.facts}))
 
+    def provenance_of(self, category: str) -> Mapping[str, str]:
+        """What else should be known of the run that gave a category."""
+        return self.own_provenance.get(category, self.provenance)
+
     def without(self, categories: Collection[str]) -> RunTable:
         """This table without some categories, as if they were not there."""
         return replace(
@@ -237,10 +243,22 @@ class RunTable:
                 name: old[name] if name in old and sample.is_close_to(old[name]) else sample
                 for name, sample in now.items()
             }
+        if not kept:
+            return replace(self, samples=now)
+        still = {sample.category for sample in kept.values()}
+        own = {name: told for name, told in previous.own_provenance.items() if name in still}
+        if self.provenance != previous.provenance:
+            own |= dict.fromkeys(counts, self.provenance)
         ranking = self.ranking
-        if ranking and previous.ranking and kept:
+        if ranking and previous.ranking:
             ranking = previous.ranking.without(counts).joined(ranking)
-        return replace(self, samples=kept | now, ranking=ranking)
+        return replace(
+            self,
+            samples=kept | now,
+            ranking=ranking,
+            provenance=previous.provenance,
+            own_provenance=own,
+        )
 
 
 def table_samples(

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import tiny
 from harness import RUN
-from tables import a_run
+from tables import a_row, a_run
 
 from pytest_cpas.diagnosis.running import diagnose_run, is_far_below
-from pytest_cpas.evaluation import MethodRun, Row
+from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.golden import RunTable
 
 #: Judge the samples of an adapter that the contract would stop.

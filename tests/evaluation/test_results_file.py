@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tables import REFS, Fixed, rows
+from tables import REFS, Fixed, rows, with_facts
 
 from pytest_cpas.evaluation import ResultsError, ResultsFile, Shard, merge, read_results
 from pytest_cpas.evaluation.results import FORMAT
@@ -94,7 +94,7 @@ def test_every_foreign_line_is_refused_by_its_number(tmp_path):
 def test_second_row_of_a_sample_is_refused(tmp_path):
     path = write(tmp_path, rows()[:2])
     with ResultsFile(tmp_path, a_run(), WHOLE) as file:
-        file.add(replace(rows()[0], rotation_error=1.0))
+        file.add(with_facts(rows()[0], rotation_deg=1.0))
     with pytest.raises(ResultsError, match=r"line 4: .*sample s/00 has a row already"):
         read_results(path)
 

@@ -6,12 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tables import GOLDEN, REFS, Fixed, a_run, rows, table
+from tables import GOLDEN, REFS, Fixed, a_row, a_run, rows, table, with_facts
 
-from pytest_cpas.evaluation import Row, outcomes, precision_table
 from pytest_cpas.golden import RunTable
 from pytest_cpas.golden.comparison import Word, compare, detectable_flips
-from pytest_cpas.metrics.precision import FAILED, Count
+from pytest_cpas.metrics.precision import Count
+from pytest_cpas.protocols import (
+    PAPER,
+    count_columns,
+    count_table,
+    judge_outcomes,
+    shipped_protocol,
+)
 from pytest_cpas.types import SampleRef
 
 
@@ -19,46 +25,37 @@ def words(verdicts):
     return {verdict.category: verdict.word for verdict in verdicts}
 
 
-def test_outcomes_follow_the_four_thresholds():
+def test_outcomes_follow_the_columns_of_the_paper():
     cases = [
-        a_row(sample="a", category="mug", position_m=0.01, rotation_deg=5.0, iou=1, fscore_1cm=0.8),
-        a_row(
-            sample="b", category="mug", position_m=0.01, rotation_deg=5.0001, iou=1, fscore_1cm=0.8
-        ),
-        a_row(
-            sample="c", category="mug", position_m=0.0101, rotation_deg=5.0, iou=1, fscore_1cm=0.5
-        ),
-        a_row(
-            sample="d", category="mug", position_m=0.03, rotation_deg=5.0, iou=1, fscore_1cm=None
-        ),
-        a_row(
-            sample="e",
-            category="mug",
-            position_m=FAILED["position_m"],
-            rotation_deg=FAILED["rotation_deg"],
-            iou=None,
-            fscore_1cm=FAILED["fscore"],
-            failure="no",
-        ),
+        a_row("a", "mug", position_m=0.01, rotation_deg=5.0, iou=1, fscore_1cm=0.8),
+        a_row("b", "mug", position_m=0.01, rotation_deg=5.0001, iou=0.75, fscore_1cm=0.8),
+        a_row("c", "mug", position_m=0.0101, rotation_deg=5.0, iou=0.7499, fscore_1cm=0.5),
+        a_row("d", "mug", position_m=0.03, rotation_deg=5.0, iou=0.25, fscore_1cm=None),
+        a_row("e", "mug", iou=None, failure="no"),
     ]
-    assert outcomes(cases) == ["1111", "1100", "1000", "0-0-", "0000"]
-    table = precision_table(
-        [(row.category, o) for row, o in zip(cases, outcomes(cases), strict=True)]
-    )
-    assert [*table["mug"].values()] == [Count(3, 5), Count(2, 4), Count(1, 5), Count(1, 4)]
+    columns = count_columns([shipped_protocol(PAPER)])
+    assert [column.id for column in columns] == [
+        *("10deg_2cm", "10deg_2cm_f60", "5deg_1cm", "5deg_1cm_f80"),
+        *("10deg_5cm", "5deg_5cm", "iou_25", "iou_50", "iou_75", "f60", "f80"),
+    ]
+    outcomes = judge_outcomes(columns, [row.facts for row in cases])
+    assert outcomes == [
+        "1111" "11" "111" "11",
+        "1100" "10" "111" "11",
+        "1000" "11" "110" "00",
+        "0-0-" "11" "100" "--",
+        "0000" "00" "---" "00",
+    ]  # fmt: skip
+    table = count_table(columns, [("mug", outcome) for outcome in outcomes])
+    assert [*table["mug"].values()] == [
+        *(Count(3, 5), Count(2, 4), Count(1, 5), Count(1, 4)),
+        *(Count(4, 5), Count(3, 5), Count(4, 4), Count(3, 4), Count(2, 4)),
+        *(Count(2, 4), Count(2, 4)),
+    ]
+    assert list(table["mug"]) == [f"cpas.{column.id}" for column in columns]
     assert table["all"] == table["mug"]
-    assert outcomes(
-        [
-            a_row(
-                sample="a",
-                category="mug",
-                position_m=0.01,
-                rotation_deg=5.0,
-                iou=None,
-                fscore_1cm=None,
-            )
-        ]
-    ) == ["1-1-"]
+    (alone,) = judge_outcomes(columns, [a_row("a", "mug", iou=None, fscore_1cm=None).facts])
+    assert alone == "1-1-" "11" "---" "--"  # fmt: skip
 
 
 def test_same_rows_match():
@@ -74,7 +71,8 @@ def test_one_flip_in_any_sample_is_found():
         other = "can" if ref.category == "mug" else "mug"
         assert words(verdicts) == {ref.category: Word.REGRESSED, other: Word.MATCHES}
         (verdict,) = (v for v in verdicts if v.failed)
-        assert f"lost: {ref.id} (0.5 cm, 4 deg, F 0.95 -> 0.5 cm, 5.5 deg, F 0.95)" in str(verdict)
+        rest = "IoU 0.9, F 0.95, NAD 0.01"
+        assert f"lost: {ref.id} (0.5 cm, 4 deg, {rest} -> 0.5 cm, 5.5 deg, {rest})" in str(verdict)
         assert "5 deg, 1 cm: 5 -> 4 of 5 correct" in str(verdict)
 
 
@@ -115,17 +113,7 @@ def test_samples_that_the_table_lacks_are_a_change():
 
 
 def test_shape_that_becomes_na_is_a_change():
-    without = [
-        a_row(
-            sample=r.sample,
-            category=r.category,
-            position_m=0.005,
-            rotation_deg=4.0,
-            iou=0.9,
-            fscore_1cm=None,
-        )
-        for r in rows()
-    ]
+    without = [with_facts(row, fscore_1cm=None) for row in rows()]
     assert set(words(compare(GOLDEN, RunTable.of(a_run(), without))).values()) == {Word.CHANGED}
 
 
@@ -137,14 +125,17 @@ def test_flips_count_what_the_cells_count():
         lacking = shapeless | more
         return RunTable.of(
             a_run(),
-            [replace(r, fscore_1cm=None) if r.sample in lacking else r for r in rows(**rotation)],
+            [
+                with_facts(r, fscore_1cm=None) if r.sample in lacking else r
+                for r in rows(**rotation)
+            ],
         )
 
     old, new = of(set()), of(set(), s_05=7)
     (_, mug) = compare(old, new)
     assert "5 deg, 1 cm: 5 -> 4 of 5 correct" in mug.details
     assert "5 deg, 1 cm, F 0.8: 3 -> 2 of 3 correct" in mug.details
-    assert new.table["mug"]["5 deg, 1 cm, F 0.8"] == Count(2, 3)
+    assert new.table["mug"]["cpas.5deg_1cm_f80"] == Count(2, 3)
     (_, mug) = compare(old, of({"s/05"}))
     assert "5 deg, 1 cm, F 0.8: 3 of 3 -> 2 of 2 correct" in mug.details
 
@@ -176,8 +167,8 @@ def test_errors_that_move_without_a_flip_are_told():
     (can, mug) = compare(GOLDEN, table(s_01=4.2, s_03=4.9, s_05=4.001))
     assert (can.word, mug.word) == (Word.MATCHES, Word.MATCHES)
     assert "note" not in can.details
-    assert "the rotation error moved in 2 samples, most in s/03: 4 -> 4.9 deg" in mug.details
-    assert "position" not in mug.details
+    assert "note: rotation_deg moved in 2 samples, most in s/03: 4 deg -> 4.9 deg" in mug.details
+    assert mug.details.count("note") == 1
 
 
 @pytest.mark.parametrize(("judged", "total"), [(1, 4), (3, 7), (5, 9), (9, 9), (2, 9)])
@@ -208,14 +199,7 @@ def large():
     run = Fixed("m", "d", refs, identity={})
     angles = np.random.default_rng(0).uniform(0, 20, REAL275_SIZE)
     rows = [
-        a_row(
-            sample=ref.id,
-            category="mug",
-            position_m=0.005,
-            rotation_deg=float(angle),
-            iou=0.9,
-            fscore_1cm=0.95,
-        )
+        a_row(ref.id, "mug", rotation_deg=float(angle))
         for ref, angle in zip(refs, angles, strict=True)
     ]
     return run, rows, RunTable.of(run, rows)
@@ -223,13 +207,13 @@ def large():
 
 def test_one_flip_in_16118_is_caught(large):
     run, rows, golden = large
-    index = next(i for i in range(11000, REAL275_SIZE) if rows[i].rotation_error < 5)
+    index = next(i for i in range(11000, REAL275_SIZE) if rows[i].facts["rotation_deg"] < 5)
     changed = [*rows]
-    changed[index] = replace(rows[index], rotation_error=5.01)
+    changed[index] = with_facts(rows[index], rotation_deg=5.01)
     (verdict,) = compare(golden, RunTable.of(run, changed))
     assert verdict.word is Word.REGRESSED
     assert f"lost: s/{index:05d} (" in verdict.details
-    assert verdict.details.count("s/") == 2  # at two thresholds, no other sample
+    assert verdict.details.count("s/") == 3  # in three columns, no other sample
 
 
 def test_part_shows_a_change_of_the_size_that_it_states(large):
@@ -250,7 +234,7 @@ def test_part_shows_a_change_of_the_size_that_it_states(large):
         assert bounds[0] < np.mean(shown) < bounds[1]
     broken = dict(some.samples)
     name = names[part[17]]
-    broken[name] = replace(broken[name], outcome="0000")
+    broken[name] = replace(broken[name], outcomes=("0" * 11,))
     before = golden.samples[name].outcome
     (verdict,) = compare(golden, replace(some, samples=broken))
     assert verdict.word is (Word.REGRESSED if "1" in before else Word.NOT_CHECKED)

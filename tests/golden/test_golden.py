@@ -1,104 +1,176 @@
 """The files of golden tables: whatever happens to them."""
 
+import csv
 import multiprocessing
 import os
+import re
+import struct
 import subprocess
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from tables import GOLDEN, a_run, rows, table
+from tables import GOLDEN, a_row, a_run, rows, table, with_facts
 
 from pytest_cpas import golden
-from pytest_cpas.evaluation import Row
+from pytest_cpas.evaluation import Answer
 from pytest_cpas.golden import GoldenError, RunTable, read_golden, record
-from pytest_cpas.metrics.precision import FAILED
+from pytest_cpas.golden.texts import parse_table, table_texts
+
+#: The files of a table in tests/tables.py.
+FILES = {"run.toml", "facts.csv", "cpas.toml"}
 
 
 def test_what_is_written_is_read(tmp_path):
     odd = rows()
-    odd[0] = a_row(
-        sample="s/00",
-        category="can",
-        position_m=FAILED["position_m"],
-        rotation_deg=FAILED["rotation_deg"],
-        iou=FAILED["iou"],
-        fscore_1cm=FAILED["fscore"],
-        failure='commas, "quotes"\nand lines',
-    )
-    odd[1] = a_row(
-        sample="s/01",
-        category="mug",
-        position_m=0.1,
-        rotation_deg=0.333333,
-        iou=None,
-        fscore_1cm=None,
-    )
+    odd[0] = a_row("s/00", "can", failure='commas, "quotes"\nand lines')
+    odd[1] = a_row("s/01", "mug", position_m=0.1, rotation_deg=0.333333, iou=None, fscore_1cm=None)
     odd_table = RunTable.of(a_run(), odd)
     folder = record(tmp_path, odd_table)
     assert folder == tmp_path / "recorded" / "m" / "d"
+    assert {path.name for path in folder.iterdir()} == FILES
     assert read_golden(folder) == odd_table
-    assert "\\n" not in (folder / "table.toml").read_text()
+    assert "\\n" not in (folder / "run.toml").read_text()
+
+
+#: Numbers whose last bit is easily lost.
+HARD = (0.1 + 0.2, 1 / 3, 5e-324, 1.7976931348623157e308, 1 - 2**-53, -0.0, 123456789.12345679)
+
+
+def test_facts_are_read_to_the_last_bit(tmp_path):
+    run = a_run()
+    run.seeds = 3
+    rng = np.random.default_rng(0)
+    given = []
+    for row in rows():
+        answers = []
+        for _ in range(3):
+            drawn = rng.choice([*HARD, *rng.random(7), None, np.inf, -np.inf], len(row.facts))
+            answers.append(Answer(facts=dict(zip(row.facts, drawn, strict=True))))
+        given.append(replace(row, answers=tuple(answers)))
+    expected = RunTable.of(run, given)
+    again = read_golden(record(tmp_path, expected))
+    assert again == expected
+
+    def bits(table):
+        return [
+            None if value is None else struct.pack("d", value)
+            for _, sample in sorted(table.samples.items())
+            for answer in sample.answers
+            for value in answer.facts.values()
+        ]
+
+    assert len(bits(again)) == 10 * 3 * 5
+    assert bits(again) == bits(expected)
 
 
 def test_writing_is_reproducible_and_sorted(tmp_path):
     first = record(tmp_path / "a", GOLDEN)
     second = record(tmp_path / "b", RunTable.of(a_run(), rows()[::-1]))
-    for name in ("table.toml", "samples.csv"):
+    for name in FILES:
         assert (first / name).read_bytes() == (second / name).read_bytes()
-    cells = (first / "table.toml").read_text().split("[cells]\n")[1].splitlines()
-    assert cells == sorted(cells)
-    assert cells[0] == '"all | 10 deg, 2 cm" = "10/10"'
+    cells = (first / "cpas.toml").read_text().partition('[cells."can"]')[2].splitlines()
+    assert cells[1:4] == ['10deg_2cm = "5/5"', '10deg_2cm_f60 = "5/5"', '5deg_1cm = "5/5"']
+    assert cells[12:16] == ['nad_median = "0.01 over 5"', "", '[cells."mug"]', '10deg_2cm = "5/5"']
+    lines = [*csv.reader((first / "facts.csv").read_text().splitlines())]
+    assert lines[0] == [
+        *("category", "sample", "seed", "position_m", "rotation_deg", "iou", "fscore_1cm", "nad"),
+        "failure",
+    ]
+    facts = [line for line in lines[1:] if line]
+    assert facts == sorted(facts)
+    assert facts[0] == ["can", "s/00", "0", "0.005", "4.0", "0.9", "0.95", "0.01", ""]
 
 
-def test_every_changed_byte_of_the_samples_is_noticed(tmp_path):
+def test_every_changed_byte_is_noticed(tmp_path):
+    texts = table_texts(GOLDEN)
+    assert parse_table("m", "d", texts) == GOLDEN
+    for name, text in texts.items():
+        for position, character in enumerate(text):
+            other = chr(ord(character) ^ 1)
+            changed = {**texts, name: text[:position] + other + text[position + 1 :]}
+            with pytest.raises(GoldenError):
+                parse_table("m", "d", changed)
     folder = record(tmp_path, GOLDEN)
-    path = folder / "samples.csv"
-    whole = path.read_bytes()
-    for position in range(0, len(whole), 7):
-        changed = bytearray(whole)
-        changed[position] ^= 1
-        path.write_bytes(changed)
-        with pytest.raises(GoldenError, match="Restore it from version control"):
-            read_golden(folder)
-    for length in range(0, len(whole), 29):
-        path.write_bytes(whole[:length])
-        with pytest.raises(GoldenError):
+    for name in FILES:
+        path = folder / name
+        whole = path.read_bytes()
+        for position in range(0, len(whole), 97):
+            path.write_bytes(whole[:position] + b"\xff" + whole[position + 1 :])
+            with pytest.raises(GoldenError, match="Restore it from version control"):
+                read_golden(folder)
+        for length in range(0, len(whole), 97):
+            path.write_bytes(whole[:length])
+            with pytest.raises(GoldenError):
+                read_golden(folder)
+        path.write_bytes(whole)
+    assert read_golden(folder) == GOLDEN
+
+
+def test_table_without_one_of_its_files_is_refused(tmp_path):
+    for name in FILES:
+        folder = record(tmp_path / name, GOLDEN)
+        (folder / name).unlink()
+        with pytest.raises(GoldenError, match=rf"{re.escape(name)} is missing; it was damaged"):
             read_golden(folder)
 
 
 @pytest.mark.parametrize(
-    "edit",
+    ("file", "old", "new"),
     [
-        ('"mug | 5 deg, 1 cm" = "5/5"', '"mug | 5 deg, 1 cm" = "4/5"'),
-        ('"mug | 5 deg, 1 cm" = "5/5"\n', ""),
-        ('"mug | 5 deg, 1 cm" = "5/5"', '"mug | 5 deg, 1 cm" = 5'),
-        ("format = 2", "format = 1"),
-        ("seeds = 1", "seeds = 0"),
-        ("seeds = 1", ""),
-        ("[cells]", "[cells"),
-        ("[cells]", "[other]"),
-        ("[provenance]", "provenance = 3"),
+        ("cpas.toml", '5deg_1cm = "5/5"', '5deg_1cm = "4/5"'),
+        ("cpas.toml", '5deg_1cm = "5/5"\n', ""),
+        ("cpas.toml", '5deg_1cm = "5/5"', "5deg_1cm = 5"),
+        ("cpas.toml", '[cells."mug"]', '[cells."bowl"]'),
+        ("cpas.toml", '[cells."mug"]', '[cells."mug"'),
+        ("cpas.toml", "position_m = 0.02 }", "position_m = 0.03 }"),
+        ("cpas.toml", 'id = "iou_75"', 'id = "iou_76"'),
+        ("cpas.toml", "guard = true\n", ""),
+        ("cpas.toml", 'name = "cpas"', 'name = "other"'),
+        ("cpas.toml", "version = 1", "version = 2"),
+        ("run.toml", "format = 3", "format = 2"),
+        ("run.toml", "seeds = 1", "seeds = 0"),
+        ("run.toml", "seeds = 1", "seeds = true"),
+        ("run.toml", "seeds = 1", "seeds = 2"),
+        ("run.toml", "seeds = 1", ""),
+        ("run.toml", 'protocols = ["cpas"]', 'protocols = ["cpas", "omni6dpose"]'),
+        ("run.toml", 'protocols = ["cpas"]', 'protocols = ["../cpas"]'),
+        ("run.toml", 'protocols = ["cpas"]', "protocols = []"),
+        ("run.toml", "samples = 5", "samples = 4"),
+        ("run.toml", "[identity]", "[identity"),
+        ("run.toml", "[identity]", "[other]"),
+        ("run.toml", "[provenance]", "provenance = 3"),
+        ("run.toml", "\niou = ", "\niou_2 = "),
+        ("facts.csv", "can,s/02", "can,s/20"),
     ],
 )
-def test_edited_table_is_refused(tmp_path, edit):
+def test_edited_table_is_refused(tmp_path, file, old, new):
     folder = record(tmp_path, GOLDEN)
-    path = folder / "table.toml"
+    path = folder / file
     text = path.read_text()
-    assert edit[0] in text
-    path.write_text(text.replace(*edit))
+    assert old in text
+    path.write_text(text.replace(old, new))
     with pytest.raises(GoldenError, match="damaged or edited by hand"):
         read_golden(folder)
 
 
-def test_half_a_pair_is_refused(tmp_path):
-    """The samples were replaced, the table was not: what a crash between the two would leave."""
+def test_half_a_table_is_refused(tmp_path):
+    """The facts were replaced, the others were not: what a crash between them would leave."""
     folder = record(tmp_path / "a", GOLDEN)
     other = record(tmp_path / "b", table(s_03=9))
-    (folder / "samples.csv").write_bytes((other / "samples.csv").read_bytes())
-    with pytest.raises(GoldenError, match=r"not the file that table\.toml was made with"):
-        read_golden(folder)
+    before = {name: (folder / name).read_bytes() for name in FILES}
+    for name, told in (
+        ("facts.csv", r"facts\.csv is not the file that run\.toml was made with"),
+        ("run.toml", r"facts\.csv is not the file that run\.toml was made with"),
+        ("cpas.toml", r"cpas\.toml is not what follows from facts\.csv"),
+    ):
+        (folder / name).write_bytes((other / name).read_bytes())
+        with pytest.raises(GoldenError, match=told):
+            read_golden(folder)
+        (folder / name).write_bytes(before[name])
+    assert read_golden(folder) == GOLDEN
 
 
 def test_full_disk_leaves_the_old_table(tmp_path, monkeypatch):
@@ -111,7 +183,7 @@ def test_full_disk_leaves_the_old_table(tmp_path, monkeypatch):
     with pytest.raises(GoldenError, match="No space left"):
         record(tmp_path, table(s_03=9))
     assert read_golden(folder) == GOLDEN
-    assert {path.name for path in folder.iterdir()} == {"table.toml", "samples.csv"}
+    assert {path.name for path in folder.iterdir()} == FILES
 
 
 def test_only_complete_categories_are_recorded(tmp_path):
@@ -125,20 +197,31 @@ def test_only_complete_categories_are_recorded(tmp_path):
     merged = read_golden(record(tmp_path, RunTable.of(a_run(), mugs)))
     assert len(merged.samples) == 10
     assert merged.samples["s/00"] == GOLDEN.samples["s/00"]
-    assert merged.samples["s/03"].outcome == "1100"
+    assert merged.samples["s/03"].outcome == "11001011111"
     with pytest.raises(GoldenError, match="record all categories together"):
         record(tmp_path, RunTable.of(a_run(data="y"), mugs))
     assert read_golden(tmp_path / "recorded" / "m" / "d") == merged
 
 
-def test_spread_is_not_lost_by_accident(tmp_path):
-    jittered = [replace(row, repeats="1100 1111") for row in rows()]
+def jittered() -> RunTable:
+    """Of three seeds, the second of which is wrong at the finer columns."""
+    turned = [
+        replace(
+            row, answers=(*row.answers, *with_facts(row, rotation_deg=7.0).answers, *row.answers)
+        )
+        for row in rows()
+    ]
     run = a_run()
     run.seeds = 3
-    folder = record(tmp_path, RunTable.of(run, jittered))
+    return RunTable.of(run, turned)
+
+
+def test_spread_is_not_lost_by_accident(tmp_path):
+    folder = record(tmp_path, jittered())
     golden = read_golden(folder)
     assert golden.seeds == 3
-    assert golden.samples["s/03"].repeats == ("1100", "1111")
+    assert golden.samples["s/03"].outcomes == ("1" * 11, "11001011111", "1" * 11)
+    assert [a.facts["rotation_deg"] for a in golden.samples["s/03"].answers] == [4.0, 7.0, 4.0]
     with pytest.raises(GoldenError, match="pass --cpas-jitter 3, or remove the table"):
         record(tmp_path, table())
     assert read_golden(folder) == golden
@@ -167,8 +250,8 @@ def test_two_updates_at_once_lose_nothing(tmp_path):
     assert [writer.exitcode for writer in writers] == [0, 0]
     assert read > 0
     final = read_golden(folder)
-    assert {s.errors[1] for s in final.samples.values() if s.category == "can"} == {7}
-    assert {s.errors[1] for s in final.samples.values() if s.category == "mug"} == {13}
+    assert {s.facts["rotation_deg"] for s in final.samples.values() if s.category == "can"} == {7}
+    assert {s.facts["rotation_deg"] for s in final.samples.values() if s.category == "mug"} == {13}
 
 
 def test_part_of_a_shipped_table_keeps_its_other_categories(tmp_path, monkeypatch):
@@ -183,13 +266,13 @@ def test_part_of_a_shipped_table_keeps_its_other_categories(tmp_path, monkeypatc
 
 
 def test_checkout_with_other_line_ends_is_read(tmp_path):
-    failed = [replace(row, failure="line\nand line") for row in rows()]
+    failed = [a_row(row.sample, row.category, failure="line\nand line") for row in rows()]
     for name, expected in (("a", GOLDEN), ("b", RunTable.of(a_run(), failed))):
         folder = record(tmp_path / name, expected)
         for file in folder.iterdir():
             file.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
         assert read_golden(folder) == expected
-    (folder / "samples.csv").write_bytes((folder / "samples.csv").read_bytes()[:-9])
+    (folder / "facts.csv").write_bytes((folder / "facts.csv").read_bytes()[:-9])
     with pytest.raises(GoldenError, match="Restore it from version control"):
         read_golden(folder)
 
@@ -199,10 +282,10 @@ def test_first_recording_keeps_line_ends_under_version_control(tmp_path):
     attributes = tmp_path / "golden" / ".gitattributes"
     subprocess.run(["git", "init", "-q", "."], cwd=tmp_path, check=True)
     shown = subprocess.run(
-        ["git", "check-attr", "eol", "text", "--", folder / "samples.csv", folder / "table.toml"],
+        ["git", "check-attr", "eol", "text", "--", *(folder / name for name in FILES)],
         cwd=tmp_path, check=True, capture_output=True, text=True,
     ).stdout  # fmt: skip
-    assert shown.count("eol: lf") == shown.count("text: set") == 2
+    assert shown.count("eol: lf") == shown.count("text: set") == 3
     attributes.write_text("mine\n")
     record(tmp_path / "golden", table(s_03=9))
     assert attributes.read_text() == "mine\n"
@@ -226,7 +309,7 @@ def test_first_recording_keeps_line_ends_under_version_control(tmp_path):
 )
 def test_every_reason_is_recorded_and_read(tmp_path, reason):
     new = rows()
-    new[0] = replace(new[0], failure=f"a{reason}b")
+    new[0] = a_row("s/00", "can", failure=f"a{reason}b")
     folder = record(tmp_path, RunTable.of(a_run(), new))
     assert read_golden(folder) == RunTable.of(a_run(), new)
     text = read_golden(folder).samples["s/00"].failure
@@ -237,13 +320,13 @@ def test_every_reason_is_recorded_and_read(tmp_path, reason):
 def test_what_cannot_be_read_back_is_not_recorded(tmp_path, monkeypatch):
     folder = record(tmp_path, GOLDEN)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    spoilt = {
-        "table_toml": lambda self, samples: "x = [",
-        "samples_csv": lambda self: "sample\n",
-    }
-    for name, text in spoilt.items():
+    for name, text in (("run.toml", "x = ["), ("facts.csv", "sample\n"), ("cpas.toml", "")):
+
+        def spoilt(table, name=name, text=text):
+            return {**table_texts(table), name: text}
+
         with monkeypatch.context() as patch:
-            patch.setattr(RunTable, name, text)
+            patch.setattr(golden.files, "table_texts", spoilt)
             with pytest.raises(GoldenError, match="cannot be read back"):
                 record(tmp_path, table(s_03=9))
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

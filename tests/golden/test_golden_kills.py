@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tables import GOLDEN, RunTable, a_run, rows, table
+from older_tables import record_older
+from tables import GOLDEN, REFS, Fixed, RunTable, a_run, rows, table
 
 from pytest_cpas.golden import find_golden, record
+from pytest_cpas.protocols import shipped_protocol
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
@@ -65,8 +67,34 @@ def files(golden: Path) -> set[str]:
     return {p.name for p in golden.rglob("*") if p.is_file()} - {".gitattributes"}
 
 
+def files_of(table: RunTable | None) -> set[str]:
+    """Those that hold a table, and no other."""
+    if table is None:
+        return set()
+    return OLDER if table.outdated else FILES[len(table.protocols)]
+
+
 MUGS = RunTable.of(a_run(), [row for row in rows(s_03=9) if row.category == "mug"])
 ELSEWHERE = replace(GOLDEN, provenance={"python": "4"})
+
+#: Judged under another protocol as well: a file more.
+MORE = RunTable.of(
+    Fixed(
+        "m",
+        "d",
+        REFS,
+        identity={"data": "x"},
+        protocols=[shipped_protocol(name) for name in ("cpas", "omni6dpose")],
+    ),
+    rows(),
+)
+
+#: The files that a table has, by its protocols; and those of version 1.
+FILES = {
+    len(table.protocols): {"run.toml", "facts.csv", *(f"{p.name}.toml" for p in table.protocols)}
+    for table in (GOLDEN, MORE)
+}
+OLDER = {"table.toml", "samples.csv"}
 
 
 @pytest.mark.parametrize(
@@ -77,8 +105,14 @@ ELSEWHERE = replace(GOLDEN, provenance={"python": "4"})
         (GOLDEN, MUGS, table(s_03=9)),
         (GOLDEN, GOLDEN, GOLDEN),
         (GOLDEN, ELSEWHERE, ELSEWHERE),
+        (GOLDEN, MORE, MORE),
+        ("version 1", GOLDEN, GOLDEN),
+        ("version 1", MORE, MORE),
     ],
-    ids=["first", "other", "part", "same", "same samples"],
+    ids=[
+        *("first", "other", "part", "same", "same samples", "more protocols"),
+        *("of version 1", "of version 1, more protocols"),
+    ],
 )
 def test_killed_at_every_step(tmp_path, old, new, expected):
     # the cache has the locks, and is made before anything is counted
@@ -86,23 +120,26 @@ def test_killed_at_every_step(tmp_path, old, new, expected):
     step, seen = 0, []
     while True:
         golden = tmp_path / str(step)
-        if old:
+        if old == "version 1":
+            record_older(golden, table(s_03=9))
+        elif old:
             record(golden, old)
+        before = find_golden(golden, "m", "d")
         died = killed(golden, new, step)
         survivor = find_golden(golden, "m", "d")
-        assert survivor in (old, expected), f"neither, after step {step}"
+        assert survivor in (before, expected), f"neither, after step {step}"
         # whoever reads leaves what git knows, and nothing else
-        assert files(golden) == ({"table.toml", "samples.csv"} if survivor else set())
+        assert files(golden) == files_of(survivor)
         seen.append(survivor)
         record(golden, new)
         assert find_golden(golden, "m", "d") == expected
-        assert files(golden) == {"table.toml", "samples.csv"}
+        assert files(golden) == files_of(expected)
         if not died:
             break
         step += 1
     assert step >= 6
-    if old != expected:
-        assert seen[0] == old
+    if before != expected:
+        assert seen[0] == before
         assert seen[-1] == expected
         # one step commits: it never goes back
         assert seen == sorted(seen, key=lambda survivor: survivor == expected)

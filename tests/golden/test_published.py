@@ -46,7 +46,12 @@ def test_categories_add_up(method, dataset, categories):
 def test_some_figures_as_printed():
     cells = {(c.category, c.label): c for c in published_cells("real275", "sdfest")}
     assert cells["mug", "10 deg, 2 cm, F 0.6"] == PublishedCell(
-        category="mug", label="10 deg, 2 cm, F 0.6", low=2551, high=2551, total=2839
+        category="mug",
+        column="cpas.10deg_2cm_f60",
+        label="10 deg, 2 cm, F 0.6",
+        low=2551,
+        high=2551,
+        total=2839,
     )
     assert f"{cells['all', '10 deg, 2 cm, F 0.6'].low / 16118:.4f}" == "0.4710"
     assert f"{cells['all', '5 deg, 1 cm'].high / 16118:.4f}" == "0.2237"
@@ -72,11 +77,13 @@ def test_curves_are_monotone_and_end_where_they_must():
             assert correct[0] == 0
 
 
-CELL = PublishedCell(category="mug", label="10 deg, 2 cm", low=600, high=601, total=1000)
+CELL = PublishedCell(
+    category="mug", column="cpas.10deg_2cm", label="10 deg, 2 cm", low=600, high=601, total=1000
+)
 
 
 def verdict(correct: int, total: int) -> tuple[Word, str]:
-    result = compare_published([CELL], {"mug": {CELL.label: Count(correct, total)}})[0]
+    result = compare_published([CELL], {"mug": {CELL.column: Count(correct, total)}})[0]
     return result.word, result.details
 
 
@@ -88,10 +95,10 @@ def margin(details: str) -> int:
 
 
 def test_part_of_the_samples_is_not_checked():
-    table = {"mug": {CELL.label: Count(60, 100)}}
+    table = {"mug": {CELL.column: Count(60, 100)}}
     words = {v.category: v.word for v in compare_published([CELL], table)}
     assert words == {"mug": Word.AGREES, "completeness": Word.NOT_CHECKED}
-    (whole,) = compare_published([CELL], {"mug": {CELL.label: Count(600, 1000)}})
+    (whole,) = compare_published([CELL], {"mug": {CELL.column: Count(600, 1000)}})
     assert whole.word is Word.AGREES
 
 
@@ -111,7 +118,9 @@ def test_words_and_margin():
 def test_false_alarms_keep_their_share_over_many_cells(total):
     """2000 simulated runs that are exactly as good as the published ones, in 12 cells."""
     cells = [
-        PublishedCell(category=f"c{i}", label="x", low=5 + 8 * i, high=5 + 8 * i, total=100)
+        PublishedCell(
+            category=f"c{i}", column="x", label="X", low=5 + 8 * i, high=5 + 8 * i, total=100
+        )
         for i in range(12)
     ]
     chances = [cell.low / 100 for cell in cells]
@@ -145,8 +154,8 @@ def test_regression_of_the_detectable_size_is_caught(total):
 
 def test_absent_cells_take_no_part():
     assert compare_published([CELL], {}) == []
-    assert compare_published([CELL], {"mug": {CELL.label: None}}) == []
-    assert compare_published([], {"mug": {CELL.label: Count(1, 2)}}) == []
+    assert compare_published([CELL], {"mug": {CELL.column: None}}) == []
+    assert compare_published([], {"mug": {CELL.column: Count(1, 2)}}) == []
 
 
 def as_good_as_published(method: str, categories: list[str], share: float = 1.0) -> dict:
@@ -159,10 +168,10 @@ def as_good_as_published(method: str, categories: list[str], share: float = 1.0)
     for category in categories:
         total = round(share * sizes[category])
         correct = Count(round(rates[category] * total), total)
-        table[category] = {cell.label: correct for cell in cells}
+        table[category] = {cell.column: correct for cell in cells}
     rows = list(table.values())
     table["all"] = {
-        cell.label: sum((row[cell.label] for row in rows[1:]), rows[0][cell.label])
+        cell.column: sum((row[cell.column] for row in rows[1:]), rows[0][cell.column])
         for cell in cells
     }
     return table
@@ -192,7 +201,7 @@ def test_figure_over_the_same_categories_mixed_otherwise_is_not_exact():
     cells = published_cells("real275", "sgpa")
     table = as_good_as_published("sgpa", ["camera", "laptop"])
     few = as_good_as_published("sgpa", good, 0.1)
-    everything = {c.label: table["all"][c.label] + few["all"][c.label] for c in cells}
+    everything = {c.column: table["all"][c.column] + few["all"][c.column] for c in cells}
     table = table | few | {"all": everything}
     (overall,) = (v for v in compare_published(cells, table) if v.category == "all")
     assert overall.word is not Word.REGRESSED

@@ -11,7 +11,7 @@ from jitter_rates import Icp, alarms, least, power
 from scipy import stats
 from tables import a_run
 
-from pytest_cpas.evaluation import Row
+from pytest_cpas.evaluation import Answer, Row
 from pytest_cpas.golden import RunTable
 from pytest_cpas.golden.comparison import Word, compare
 from pytest_cpas.golden.jitter import parse_alarm, recorded_words
@@ -227,7 +227,7 @@ def test_reported_losses_are_at_least_probably_worse(worse, spread):
 
 
 def tables(answers, run=None):
-    """A run's table, and of further seeds its repeats: from correct or not (n, K)."""
+    """A run's table, an answer per seed: from correct or not (n, K)."""
     refs = [
         SampleRef(id=f"s/{i:05d}", category="mug" if i % 2 else "can", scene="s")
         for i in range(len(answers))
@@ -235,10 +235,14 @@ def tables(answers, run=None):
     run = run or a_run()
     run.seeds = answers.shape[1]
     run.listed = {"can": (len(refs) + 1) // 2, "mug": len(refs) // 2}
+    given = {
+        right: Answer(facts={"position_m": 0.005, "rotation_deg": 4.0 if right else 40.0})
+        for right in (True, False)
+    }
     rows = [
-        a_row(sample=ref.id, category=ref.category, position_m=0.005, rotation_deg=4.0 if own[0] else 40.0, iou=None, fscore_1cm=None, repeats=" ".join("1-1-" if answer else "0-0-" for answer in own[1:]))
+        Row(sample=ref.id, category=ref.category, answers=tuple(given[bool(each)] for each in own))
         for ref, own in zip(refs, answers, strict=True)
-    ]  # fmt: skip
+    ]
     return RunTable.of(run, rows)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from urllib.parse import urlencode
 
 from pytest_cpas.documents import FlipDocument, ItemOutcome, RunName
+from pytest_cpas.reading.text import html
 from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.messages import flip_message, outcome_message, run_title
 from pytest_cpas.report.tables import protocol_title, split_label
@@ -61,5 +62,6 @@ def protocol_head(words: str, protocol: str, own: Sequence[str]) -> list[str]:
 
 def sample_link(count: int, run: RunName, verdict: str) -> Child:
     """How many samples of a run have a verdict, as a link to the list of them."""
-    there = "#" + urlencode({"run": run_title(run), "verdict": verdict})
+    # the run as the script lists it
+    there = "#" + urlencode({"run": html(run_title(run)), "verdict": verdict})
     return [element("a", f"{count} {verdict}", href=there), " "]
