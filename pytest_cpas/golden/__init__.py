@@ -1,9 +1,9 @@
 """Golden tables: what a run was when somebody looked at it and found it right.
 
-``recorded/METHOD/DATASET/table.toml`` holds one cell per line, exact counts, and where they come
-from; ``samples.csv`` beside it one line per sample: which thresholds it met (see
-:func:`pytest_cpas.evaluation.outcomes`) and its errors, rounded, for people. The outcomes decide;
-the counts are checked against them on reading. What a table says about a run is in
+``recorded/METHOD/DATASET/`` has what the run is of (``run.toml``), what was measured of every sample
+(``facts.csv``), and a file for each protocol that it was judged under, with a cell per line. The
+facts decide; the cells follow from them, and are checked on reading. Tables of earlier versions
+(``table.toml``, ``samples.csv``) are read as far as they go. What a table says about a run is in
 :mod:`pytest_cpas.golden.comparison`.
 """
 
