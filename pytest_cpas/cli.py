@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from pytest_cpas.reading.text import say
 from pytest_cpas.session import guard
 
 
@@ -114,9 +115,9 @@ def _report(path: Path, to: Path, others: Sequence[Path]) -> int:
             document["against"] = against(document["runs"], read_runs(others))
         write_report(document, to, {})
     except (StoredReportError, ResultsError, OSError) as error:
-        print(f"pytest-cpas report: {error}", file=sys.stderr)
+        say(f"pytest-cpas report: {error}", file=sys.stderr)
         return 1
-    print(f"wrote {to / 'report.html'}, .md and .json")
+    say(f"wrote {to / 'report.html'}, .md and .json")
     return 0
 
 
@@ -126,11 +127,11 @@ def _new_adapter(options: argparse.Namespace) -> int:
     try:
         paths, next_options = new_adapter(options.name, options.to)
     except (NewAdapterError, OSError) as error:
-        print(f"pytest-cpas new-adapter: {error}", file=sys.stderr)
+        say(f"pytest-cpas new-adapter: {error}", file=sys.stderr)
         return 1
-    print("wrote", *paths, sep="\n  ")
+    say("wrote", *(f"  {path}" for path in paths))
     there = "" if options.to == Path() else f"cd {shlex.quote(str(options.to))} && "
-    print(f"next:\n  {there}pytest {next_options} --cpas-limit=24")
+    say(f"next:\n  {there}pytest {next_options} --cpas-limit=24")
     return 0
 
 
@@ -142,9 +143,9 @@ def _export_bop(options: argparse.Namespace) -> int:
     try:
         count = export_bop(options.results, options.bop, options.to)
     except (ResultsError, ContractError, OSError) as error:
-        print(f"pytest-cpas export-bop: {error}", file=sys.stderr)
+        say(f"pytest-cpas export-bop: {error}", file=sys.stderr)
         return 1
-    print(f"{options.to}: {count} estimates")
+    say(f"{options.to}: {count} estimates")
     return 0
 
 
@@ -155,17 +156,17 @@ def _fetch(name: str, to: Path, yes: bool) -> int:
         if yes:
             return True
         if not sys.stdin.isatty():
-            print(f"{question} Nobody can answer here; agree with --yes.", file=sys.stderr)
+            say(f"{question} Nobody can answer here; agree with --yes.", file=sys.stderr)
             return False
         return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
 
     try:
-        return 0 if fetch(find_source(name), to, confirm=confirm) else 1
+        return 0 if fetch(find_source(name), to, confirm=confirm, tell=say) else 1
     except FetchError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("interrupted; the same command goes on where it stopped", file=sys.stderr)
+        say("interrupted; the same command goes on where it stopped", file=sys.stderr)
         return 130
 
 

@@ -309,10 +309,11 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     if not config.option.cpas_list:
         return None
     from pytest_cpas.listing import listing
+    from pytest_cpas.reading.text import say
 
     weights = config.option.cpas_weights
     for line in listing(config.invocation_params.dir / weights if weights else None):
-        print(line)
+        say(line)
     return 0
 
 

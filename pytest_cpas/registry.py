@@ -99,9 +99,9 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
         raise RegistryError(f"data set {name!r}: the class {make.__name__} has no {lacks}")
     try:
         made = make(data_dir)
-    except (ContractError, OSError, ImportError):
+    except (ContractError, OSError, ImportError, KeyboardInterrupt):
         raise
-    except Exception as error:
+    except BaseException as error:  # to exit or to skip is no way out of a verdict either
         folder = "no folder was given with --cpas-data" if data_dir is None else f"in {data_dir}"
         raise RegistryError(
             f"data set {name!r} cannot be opened, {folder} ({type(error).__name__}: {error})"

@@ -1,4 +1,5 @@
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +45,65 @@ def test_broken_entry_fails_only_when_asked_for_and_is_blamed(distribution):
     assert registry.resolve("method", "icp")
     with pytest.raises(registry.RegistryError, match=r"registered by lab 3\.1.*not_there"):
         registry.resolve("method", "broken")
+
+
+LEAVES = {
+    "exit": "import sys; sys.exit(0)",
+    "SystemExit": "raise SystemExit",
+    "skip": "import pytest; pytest.skip('no GPU here', allow_module_level=True)",
+    "importorskip": "import pytest; pytest.importorskip('not_there')",
+    "pytest.exit": "import pytest; pytest.exit('enough', returncode=0)",
+}
+
+
+@pytest.mark.parametrize("how", LEAVES)
+def test_module_that_leaves_while_it_is_imported_is_blamed(distribution, how):
+    """Whoever skips a module skips no verdict that was asked for."""
+    distribution("lab", "", lab_leaves=f"{LEAVES[how]}\nclass X: pass\n")
+    for kind in ("method", "dataset"):
+        with pytest.raises(registry.RegistryError, match="lab_leaves:X cannot be imported"):
+            registry.resolve(kind, "lab_leaves:X")
+
+
+def test_interrupt_while_a_module_is_imported_is_one(distribution):
+    distribution("lab", "", lab_interrupted="raise KeyboardInterrupt")
+    with pytest.raises(KeyboardInterrupt):
+        registry.resolve("method", "lab_interrupted:X")
+
+
+CANNOT = {
+    "TypeError": "return data_dir / 'images'",
+    "AssertionError": "assert data_dir",
+    "KeyError": "{}['mug']",
+    **LEAVES,
+}
+
+
+@pytest.mark.parametrize("how", CANNOT)
+@pytest.mark.parametrize("folder", [None, Path("somewhere")], ids=str)
+def test_data_set_that_cannot_be_opened_is_told_with_its_folder(distribution, how, folder):
+    wrong = CANNOT[how] if folder is None or "data_dir" not in CANNOT[how] else "1 / 0"
+    text = f"class Data:\n    def __init__(self, data_dir):\n        {wrong}\n"
+    distribution("lab", "", lab_data=text)
+    words = "no folder was given with --cpas-data" if folder is None else "in somewhere"
+    with pytest.raises(
+        registry.RegistryError, match=rf"^data set 'lab_data:Data' cannot be opened, {words} \("
+    ):
+        registry.open_dataset("lab_data:Data", folder)
+
+
+@pytest.mark.parametrize("error", ["FileNotFoundError", "ContractError", "ImportError"])
+def test_data_set_that_says_what_is_wrong_is_heard(distribution, error):
+    text = f"""
+from pytest_cpas.types import ContractError
+
+def make(data_dir):
+    raise {error}("the drive is not mounted")
+"""
+    distribution("lab", "", lab_words=text)
+    with pytest.raises(Exception, match="^the drive is not mounted$") as raised:
+        registry.open_dataset("lab_words:make", None)
+    assert raised.type.__name__ == error
 
 
 def test_two_owners_of_a_name_are_told_apart(distribution):

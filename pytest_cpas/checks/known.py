@@ -24,7 +24,6 @@ not come across fails it. Tables of other names are for people.
 
 from __future__ import annotations
 
-import tomllib
 import warnings
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -34,7 +33,8 @@ from typing import Any, Literal
 
 from pytest_cpas._files import write_file
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.types import DeclarationError
+from pytest_cpas.reading.structured import read_toml
+from pytest_cpas.types import DataError, DeclarationError, raised_as
 
 __all__ = ["KnownFailure", "gone", "known_failures", "read_known", "record_known"]
 
@@ -116,8 +116,8 @@ def read_known(path: Path, kind: Kind, checks: Collection[str]) -> list[KnownFai
     Raises :class:`DeclarationError` for a file that cannot be read and an entry that is wrong.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        content = read_toml(path)
+    except DataError as error:
         raise DeclarationError(f"{path}: known failures cannot be read ({error})") from error
     entries = _tables(path, content, kind)
     known: list[KnownFailure] = []
@@ -178,7 +178,8 @@ def record_known(folder: Path, name: str, recorded: Sequence[KnownFailure]) -> P
     """
     path = folder / f"{name}.known.toml"
     if path.is_file():
-        others = tomllib.loads(path.read_text(encoding="utf-8")).keys() - {"metric", "violation"}
+        with raised_as(DeclarationError):
+            others = read_toml(path).keys() - {"metric", "violation"}
         if others:
             raise DeclarationError(
                 f"{path}: it holds {', '.join(sorted(others))} as well; move them"

@@ -21,12 +21,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pytest_cpas._files import cache_folder, write_file
+from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.images import image_size
-from pytest_cpas.reading.paths import names, parse_json, regular
-from pytest_cpas.types import ContractError, DataError, SampleRef
+from pytest_cpas.reading.paths import names
+from pytest_cpas.reading.structured import parse_json
+from pytest_cpas.types import ContractError, SampleRef
 
 #: The packages whose code decides what is listed of every tree.
 _ROOMS = ("datasets", "reading")
+
+#: Largest annotation or mesh, bytes.
+_LARGEST = 2**30
 
 #: Seconds. A tree changed so recently may change again without its times telling.
 SETTLED = 2.0
@@ -80,10 +85,7 @@ class Scan:
     def read(self, path: str) -> bytes:
         """A file's bytes, which become part of the digest."""
         self._see(path)
-        try:
-            content = regular(self.root / path).read_bytes()
-        except OSError as error:
-            raise DataError(f"{self.root / path}: cannot be read ({error})") from error
+        content = read_bytes(self.root / path, _LARGEST)
         self._digest.update(content)
         return content
 
@@ -162,7 +164,7 @@ def read_index(
     package = Path(__file__).parents[1]
     ours = (path for room in _ROOMS for path in (package / room).glob("*.py"))
     for source in sorted({*map(str, ours), *sources}):
-        code.update(Path(source).read_bytes())
+        code.update(read_bytes(Path(source)))
     recipe = code.hexdigest()
     kept = _read_kept(file, root, recipe)
     if kept is not None:
@@ -188,7 +190,7 @@ def _stamp(root: Path, path: str) -> list[int] | None:
 
 def _read_kept(file: Path, root: Path, recipe: str) -> Index | None:
     try:
-        kept = json.loads(file.read_bytes())
+        kept = parse_json(file, read_bytes(file, _LARGEST))
         if kept.pop("recipe") != recipe:
             return None
         stamps: Stamps = kept.pop("stamps")
@@ -197,7 +199,7 @@ def _read_kept(file: Path, root: Path, recipe: str) -> Index | None:
             for name, category, scene, model in kept.pop("samples")
         ]
         index = Index(samples=samples, **kept)
-    except (OSError, ValueError, TypeError, AttributeError, KeyError):
+    except (ValueError, TypeError, AttributeError, KeyError):
         return None  # never kept, or torn: it is made again
     if all(_stamp(root, path) == stamp for path, stamp in stamps.items()):
         return index

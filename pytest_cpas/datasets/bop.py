@@ -31,9 +31,11 @@ import numpy as np
 
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
+from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers, whole
-from pytest_cpas.reading.paths import natural, parse_json, regular
+from pytest_cpas.reading.paths import natural
+from pytest_cpas.reading.structured import parse_json
 from pytest_cpas.types import (
     Array,
     Camera,
@@ -205,7 +207,7 @@ def object_number(name: str) -> int:
 def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:
     """The objects of a ``models_info.json`` by number, and what is wrong with the others."""
     models, damaged = {}, []
-    for key, info in parse_json(path, regular(path).read_bytes()).items():
+    for key, info in parse_json(path, read_bytes(path)).items():
         try:
             number = whole(key)
             if number is None or not isinstance(info, dict):
@@ -265,9 +267,10 @@ def _list(value: Any) -> list[Any]:
 def _visible(infos: Any, index: int) -> float:
     """Which part of an object is visible; all of it where nothing is said."""
     try:
-        return float(infos[index]["visib_fract"])
-    except (TypeError, KeyError, IndexError, ValueError):
+        value = infos[index]["visib_fract"]
+    except (TypeError, KeyError, IndexError):
         return 1.0
+    return float(numbers(value, (), "visib_fract"))
 
 
 def find_models(root: Path) -> str:

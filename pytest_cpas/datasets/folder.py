@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import csv
 import functools
-import io
 import re
 from pathlib import Path
 
@@ -16,9 +14,11 @@ import numpy as np
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.reading.files import decoded
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers, quaternion_rotation, whole
 from pytest_cpas.reading.paths import below
+from pytest_cpas.reading.tables import by_column, csv_table
 from pytest_cpas.types import Camera, ContractError, DataError, Mesh, SampleRef, Symmetry
 
 _TABLE = "samples.csv"
@@ -57,12 +57,8 @@ class Folder(RecordTree):
     def scan(self, scan: Scan) -> None:
         """List the lines of the table whose files are there."""
         path = self.root / _TABLE
-        try:
-            lines = csv.DictReader(io.StringIO(scan.read(_TABLE).decode("utf-8-sig")), strict=True)
-            columns = lines.fieldnames or ()
-            table = [(lines.line_num, line) for line in lines]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise DataError(f"{path}: not a table in UTF-8 with commas ({error})") from error
+        text = decoded(path, scan.read(_TABLE)).removeprefix("\ufeff")
+        columns, lines = csv_table(f"{path}", text)
         absent = [column for column in _REQUIRED if column not in columns]
         unknown = [column for column in columns if column not in _REQUIRED + _OPTIONAL]
         if absent or unknown:
@@ -72,21 +68,22 @@ class Folder(RecordTree):
                 f" wanted, {', '.join(_OPTIONAL)}, separated by commas"
             )
         ids: set[str] = set()
-        for number, line in table:
+        meshes: set[str] = set()
+        for number, values in lines:
             where = f"{path}, line {number}"
             try:
+                line = by_column(where, columns, values)
+                meshes.add(line.get("mesh", ""))
                 self._list(scan, line, where, ids)
             except ContractError as error:
                 text = str(error)
                 scan.damaged.append(text if text.startswith(where) else f"{where}: {text}")
-        for mesh in sorted({line["mesh"] for _, line in table if line.get("mesh")}):
+        for mesh in sorted(meshes - {""}):
             if scan.has(mesh):
                 scan.hash(mesh)
 
-    def _list(self, scan: Scan, line: dict[str, str | None], where: str, ids: set[str]) -> None:
-        if None in line or None in line.values():
-            raise DataError(f"{where}: it has not as many values as there are columns")
-        text = {column: (value or "").strip() for column, value in line.items()}
+    def _list(self, scan: Scan, line: dict[str, str], where: str, ids: set[str]) -> None:
+        text = {column: value.strip() for column, value in line.items()}
         if not text["id"] or not text["category"] or text["id"] in ids:
             raise DataError(f"{where}: id {text['id']!r} is empty or occurs twice, or no category")
         ref = SampleRef(

@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._tree import Tree, find_root
+from pytest_cpas.reading.files import read_text, regular
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers
-from pytest_cpas.reading.paths import natural, regular
+from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import (
     CATEGORIES,
@@ -231,7 +232,7 @@ class NocsTree(Tree):
         return self._read_depth(self.root / f"{self.frames}/{frame}_depth.png", self.camera)
 
     def _read_poses(self, path: Path) -> Array:
-        poses = load_numpy_pickle(path).get("gt_RTs")
+        poses = load_numpy_pickle(regular(path)).get("gt_RTs")
         if (
             not isinstance(poses, np.ndarray)
             or poses.shape[1:] != (4, 4)
@@ -250,11 +251,7 @@ class NocsTree(Tree):
                 low, high = mesh.bounds
                 return mesh, high - low
         path = self.root / _extents_path(self.frames, model)
-        try:
-            text = regular(path).read_text().split()
-        except UnicodeDecodeError as error:
-            raise DataError(f"{path}: expected three extents in metres ({error})") from error
-        extents = numbers(text, (3,), f"{path}: extents in metres")
+        extents = numbers(read_text(path).split(), (3,), f"{path}: extents in metres")
         return None, permute_extents(extents, NOCS_FROM_SHAPENET.T)
 
 

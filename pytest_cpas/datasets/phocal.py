@@ -26,15 +26,13 @@ masks.
 from __future__ import annotations
 
 import io
-import zipfile
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
+from pytest_cpas.reading.arrays import Wanted, read_npz
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.types import ContractError, DataError, SampleRef
@@ -107,12 +105,10 @@ class PhoCaL(RecordTree):
         return listed
 
     def _test_images(self, scan: Scan, file: str) -> set[int]:
-        content = io.BytesIO(scan.read(file))
-        try:
-            with np.load(content) as split:  # without allow_pickle nothing in it is run
-                return set(numbers(split["test_idxs"], split["test_idxs"].shape, file).tolist())
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise DataError(f"{self.root / file}: not an .npz with test_idxs ({error})") from error
+        path, content = self.root / file, io.BytesIO(scan.read(file))
+        indices = read_npz(path, {"test_idxs": Wanted("iuf")}, content)["test_idxs"]
+        listed = numbers(indices, indices.shape, f"{path}: test_idxs").ravel()
+        return {int(index) for index in listed}
 
     def _object(
         self,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from pytest_cpas.reading.structured import read_toml
 
 __all__ = ["Source", "SourceFile", "how_to_get", "published_sources"]
 
@@ -46,9 +47,9 @@ class Source:
 @functools.cache
 def published_sources() -> dict[str, Source]:
     """The data sets of ``sources.toml``, by name."""
-    text = Path(__file__).with_name("sources.toml").read_text(encoding="utf-8")
+    content = read_toml(Path(__file__).with_name("sources.toml"))
     sources = {}
-    for name, values in tomllib.loads(text).items():
+    for name, values in content.items():
         files = [SourceFile(**entry) for entry in values.pop("file", ())]
         sources[name] = Source(name=name, file=files, **values)
     return sources

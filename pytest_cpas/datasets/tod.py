@@ -34,8 +34,9 @@ from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.reading.files import read_text
 from pytest_cpas.reading.numbers import numbers, whole
-from pytest_cpas.reading.paths import natural, regular
+from pytest_cpas.reading.paths import natural
 from pytest_cpas.similarity import rigid
 from pytest_cpas.types import Array, ContractError, DataError, SampleRef, Symmetry
 from pytest_cpas.types.frames import SHAPENET_FROM_Z_UP
@@ -134,7 +135,7 @@ def read_model(path: Path) -> Model:
     """The vertices and keypoints of an object, whose keypoints are small meshes of their own."""
     parts: dict[str, list[list[str]]] = {}
     part = parts.setdefault("", [])
-    for line in regular(path).read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in read_text(path, errors="replace").splitlines():
         words = line.split()
         if words[:1] == ["o"] and len(words) > 1:
             part = parts.setdefault(words[1], [])

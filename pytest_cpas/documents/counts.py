@@ -51,6 +51,7 @@ class ScoreDocument(TypedDict):
     golden: float | None
     samples: Annotated[Natural, "Of how many samples the number is known."]
     better: Literal["lower", "higher"]
+    share: Annotated[bool, "Whether it is a share of 1: an area, or an average precision."]
 
 
 class PublishedPrecisionDocument(TypedDict):

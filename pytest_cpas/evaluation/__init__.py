@@ -6,10 +6,11 @@ from pytest_cpas.evaluation.estimates import (
     encode_estimate,
     encode_shape,
 )
+from pytest_cpas.evaluation.frames import assign_detections, read_frames
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.merging import MergedRun, merge
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
-from pytest_cpas.evaluation.predictions import StoredRun, assign_detections, read_frames
+from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.evaluation.results import (
     Header,
     Results,

@@ -23,7 +23,7 @@ _COUNT = 15
 #: Points of a shape: 1.6 kB of text.
 SHAPE_POINTS = 400
 
-#: Coordinates of a shape, metres, are no larger: an absurd one stays a number.
+#: Coordinates of a shape, metres, are no larger in a picture.
 _FARTHEST = 1e6
 
 
@@ -41,8 +41,7 @@ def encode_estimate(hypothesis: Hypothesis) -> str:
     """The text of a hypothesis that is in the standard frames."""
     extents = np.full(3, np.nan) if hypothesis.extents is None else hypothesis.extents
     values = np.concatenate([hypothesis.rotation.ravel(), hypothesis.translation, extents])
-    with np.errstate(over="ignore"):  # an absurd length becomes infinite
-        return base64.b64encode(values.astype(_DTYPE).tobytes()).decode("ascii")
+    return base64.b64encode(values.astype(_DTYPE).tobytes()).decode("ascii")
 
 
 def decode_estimates(texts: Sequence[str]) -> Estimates:
@@ -51,6 +50,8 @@ def decode_estimates(texts: Sequence[str]) -> Estimates:
     if any(len(part) != _COUNT * _DTYPE.itemsize for part in parts):
         raise ValueError(f"an estimate is {_COUNT} float32 in base64")
     values = np.frombuffer(b"".join(parts), _DTYPE).reshape(-1, _COUNT).astype(float)
+    if not np.isfinite(values[:, :12]).all() or np.isinf(values[:, 12:]).any():
+        raise ValueError("a rotation or a translation is not finite, or extents are infinite")
     return Estimates(values[:, :9].reshape(-1, 3, 3), values[:, 9:12], values[:, 12:])
 
 
@@ -76,6 +77,8 @@ def decode_shape(text: str) -> Array:
     if len(content) <= corner or (len(content) - corner) % 3:
         raise ValueError("a shape is 6 float32 and 3 bytes per point, in base64")
     low, size = np.frombuffer(content[:corner], _DTYPE).reshape(2, 3).astype(float)
+    if not np.isfinite([low, size]).all() or (size < 0).any():
+        raise ValueError("the box of a shape is not finite, or turned inside out")
     steps = np.frombuffer(content[corner:], np.uint8).reshape(-1, 3)
     points: Array = low + size * (steps / 255)
     return points

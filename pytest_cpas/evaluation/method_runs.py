@@ -15,6 +15,7 @@ from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
+from pytest_cpas.reading.files import sha256
 from pytest_cpas.types import (
     AnswerError,
     ContractError,
@@ -199,9 +200,7 @@ def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
         return {}
     digest = hashlib.sha256()
     for asset in sorted(assets, key=lambda asset: asset.path):
-        with (folder / asset.path).open("rb") as file:
-            content = hashlib.file_digest(file, "sha256").hexdigest()
-        digest.update(f"{asset.path} {content}\n".encode())
+        digest.update(f"{asset.path} {sha256(folder / asset.path)}\n".encode())
     return {"weights": digest.hexdigest()[:16]}
 
 

@@ -17,8 +17,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import re
-import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.datasets.nocs import symmetry_of
+from pytest_cpas.evaluation.frames import REQUIRED, Frame, assign_detections, read_frames
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
-from pytest_cpas.protocols import Protocol
-from pytest_cpas.reading.pickles import load_numpy_pickle
+from pytest_cpas.facts import Detected, pair_table
+from pytest_cpas.protocols import Protocol, Ranking, facts_of, rank, ranking_columns
 from pytest_cpas.types import (
     CATEGORIES,
     AnswerError,
@@ -43,133 +43,24 @@ from pytest_cpas.types import (
     Pose,
     Prediction,
     SampleRef,
+    Symmetry,
 )
+from pytest_cpas.types._arrays import frozen_array
 from pytest_cpas.types.datasets import STORED
-from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
-
-#: A detection belongs to a ground truth if their 2-D boxes overlap at least this much.
-DETECTION_IOU = 0.5
-
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "gt_class_ids": (),
-    "gt_bboxes": (4,),
-    "gt_RTs": (4, 4),
-    "gt_scales": (3,),
-    "pred_class_ids": (),
-    "pred_bboxes": (4,),
-    "pred_RTs": (4, 4),
-    "pred_scales": (3,),
-}
-
-Frame = Mapping[str, NDArray[Any]]
-
-
-def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
-    """Yield (name, arrays) per frame, e.g. ``scene_1_0000``.
-
-    Raises :class:`DataError` naming the file that is damaged, or that is neither form.
-    """
-    if path.is_dir():
-        files = sorted(path.glob("*.pkl"))
-        if not files:
-            raise DataError(f"{path}: no .pkl files in this folder")
-        for file in files:
-            yield from read_frames(file)
-    elif path.suffix == ".npz":
-        yield from _read_npz(path)
-    elif path.suffix == ".pkl":
-        match = re.search(r"(scene_\d+_\d+)$|_([^_]+_[^_]+)$", path.stem)
-        name = match.group(0).lstrip("_") if match else path.stem
-        yield name, _checked(load_numpy_pickle(path), f"{path}")
-    else:
-        raise DataError(f"{path}: expected a .pkl, a folder of them, or an .npz")
-
-
-def _read_npz(path: Path) -> Iterator[tuple[str, Frame]]:
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise DataError(f"{path}: not a readable .npz ({error})") from error
-    absent = sorted({"frame", "gt_offset", "pred_offset", *_SHAPES} - set(arrays))
-    if absent:
-        raise DataError(f"{path}: lacks {', '.join(absent)}")
-    names = arrays["frame"]
-    for side in ("gt", "pred"):
-        offset, count = arrays[f"{side}_offset"], len(arrays[f"{side}_class_ids"])
-        if len(offset) != len(names) + 1 or offset[0] != 0 or offset[-1] != count:
-            raise DataError(
-                f"{path}: {side}_offset has {len(offset)} entries up to {offset[-1]}, expected"
-                f" {len(names) + 1} from 0 to {count}"
-            )
-    for index, name in enumerate(names.tolist()):
-        rows = {
-            side: slice(arrays[f"{side}_offset"][index], arrays[f"{side}_offset"][index + 1])
-            for side in ("gt", "pred")
-        }
-        frame = {key: arrays[key][rows[key.split("_")[0]]] for key in _SHAPES}
-        yield name, _checked(frame, f"{path}, frame {name}")
-
-
-def _checked(frame: Mapping[str, Any], where: str) -> Frame:
-    checked: dict[str, NDArray[Any]] = {}
-    for key, shape in _SHAPES.items():
-        side = key.split("_")[0]
-        array = frame.get(key)
-        if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
-            raise DataError(f"{where}: {key} is missing or not an array of numbers")
-        if len(array) == 0:
-            array = array.reshape(0, *shape)  # an empty list is stored as shape (0,)
-        count = len(checked.get(f"{side}_class_ids", array))
-        if array.shape != (count, *shape):
-            raise DataError(f"{where}: {key} has shape {array.shape}, expected {(count, *shape)}")
-        checked[key] = array
-    ids = np.concatenate([checked["gt_class_ids"], checked["pred_class_ids"]])
-    if len(ids) and not (ids.min() >= 1 and ids.max() <= len(CATEGORIES)):
-        raise DataError(
-            f"{where}: class ids run from {ids.min()} to {ids.max()}, expected 1 to"
-            f" {len(CATEGORIES)} ({', '.join(CATEGORIES)})"
-        )
-    return checked
-
-
-def assign_detections(frame: Frame) -> NDArray[np.int64]:
-    """Which detection each ground truth gets, (n,), -1 for none.
-
-    Per class, one to one, by descending 2-D box IoU (boxes are y1, x1, y2, x2 in pixels), at
-    least ``DETECTION_IOU``; ties go to the first.
-    """
-    assigned = np.full(len(frame["gt_class_ids"]), -1)
-    if not len(assigned) or not len(frame["pred_class_ids"]):
-        return assigned
-    truth = frame["gt_bboxes"][:, None].astype(float)
-    found = frame["pred_bboxes"][None].astype(float)
-    overlap = np.minimum(truth[..., 2:], found[..., 2:]) - np.maximum(
-        truth[..., :2], found[..., :2]
-    )
-    common = overlap.clip(min=0).prod(axis=-1)
-    areas = [(boxes[..., 2:] - boxes[..., :2]).prod(axis=-1) for boxes in (truth, found)]
-    union = areas[0] + areas[1] - common
-    iou = np.divide(common, union, out=np.zeros_like(common), where=union > 0)
-    iou[frame["gt_class_ids"][:, None] != frame["pred_class_ids"][None]] = 0
-    for flat in np.argsort(-iou, axis=None, kind="stable"):
-        row, column = divmod(int(flat), iou.shape[1])
-        if iou[row, column] < DETECTION_IOU:
-            break
-        if assigned[row] < 0 and column not in assigned:
-            assigned[row] = column
-    return assigned
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents, to_standard
 
 
 def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Array]:
     """Pose and extents (3,), metres, of a (4, 4) similarity and a box relative to its scale."""
-    determinant = float(np.linalg.det(scaled[:3, :3])) if np.isfinite(scaled).all() else np.nan
+    scaled = frozen_array(scaled, (4, 4), "the pose")
+    determinant = float(np.linalg.det(scaled[:3, :3]))
     if not determinant > 0:
         raise DataError(
             f"the pose has determinant {determinant:g}, expected the cube of a positive scale"
         )
     scale = np.cbrt(determinant)
-    return Pose(scaled[:3, :3] / scale, scaled[:3, 3]), relative.astype(float) * scale
+    extents = frozen_array(relative, (3,), "the scales") * scale
+    return Pose(scaled[:3, :3] / scale, scaled[:3, 3]), extents
 
 
 class StoredRun(Run):
@@ -184,6 +75,7 @@ class StoredRun(Run):
     ) -> None:
         """Read the file or folder; nothing is judged yet."""
         self._frames: dict[str, Frame] = {}
+        self._places: dict[str, tuple[str, int]] = {}
         digest = hashlib.sha256()
         samples = []
         for name, frame in read_frames(path):
@@ -191,14 +83,21 @@ class StoredRun(Run):
             if name in self._frames:
                 raise DataError(f"{path}: frame {name} occurs twice")
             self._frames[name] = frame
-            for key in _SHAPES:
+            for key in REQUIRED:
                 if key.startswith("gt"):
                     digest.update(np.ascontiguousarray(frame[key]).tobytes())
             for index, class_id in enumerate(frame["gt_class_ids"].tolist()):
                 ref_id = f"{scene}/{number}/gt{index}" if scene else f"{number}/gt{index}"
-                samples.append(
-                    SampleRef(id=ref_id, category=CATEGORIES[class_id - 1], scene=scene or number)
-                )
+                try:
+                    category = CATEGORIES[class_id - 1]
+                    ref = SampleRef(id=ref_id, category=category, scene=scene or number)
+                except ContractError as error:
+                    raise DataError(f"{path}, frame {name!r}: {error}") from None
+                if ref_id in self._places:
+                    other = self._places[ref_id][0]
+                    raise DataError(f"{path}: frames {other} and {name} give one id, {ref_id}")
+                self._places[ref_id] = name, index
+                samples.append(ref)
         super().__init__(
             re.sub(r"[^A-Za-z0-9._-]", "-", path.stem if path.is_file() else path.name),
             STORED,
@@ -227,6 +126,41 @@ class StoredRun(Run):
         """The truth about one sample."""
         return self._pair(ref)[0]
 
+    def ranking(self) -> Ranking | None:
+        """All detections of the frames, ranked; None of a part of the samples, or without scores.
+
+        A detection whose pose is none is never right.
+        """
+        columns = ranking_columns(self.protocols)
+        if len(self.samples) < sum(self.listed.values()) or any(
+            "pred_scores" not in frame for frame in self._frames.values()
+        ):
+            return None
+        detected = [
+            Detected(
+                name=f"{name}/{index}",
+                image=name,
+                category=CATEGORIES[class_id - 1],
+                score=float(frame["pred_scores"][index]),
+                hypothesis=self._hypothesis(name, index),
+            )
+            for name, frame in self._frames.items()
+            for index, class_id in enumerate(frame["pred_class_ids"].astype(int).tolist())
+        ]
+        truths = [(self._places[ref.id][0], ref.category, self.truth(ref)) for ref in self.samples]
+        pairs = pair_table(facts_of(columns), detected, truths, self.info.gives)
+        return rank(columns, pairs)
+
+    def _hypothesis(self, name: str, index: int) -> Hypothesis | None:
+        """A detection of a frame in the standard frames; None where its pose is none."""
+        frame = self._frames[name]
+        try:
+            pose, extents = _posed_box(frame["pred_RTs"][index], frame["pred_scales"][index])
+            made = Hypothesis(rotation=pose.rotation, translation=pose.translation, extents=extents)
+        except ContractError:
+            return None
+        return to_standard(made, self.info)
+
     @functools.cached_property
     def _rows(self) -> dict[str, Row | ContractError]:
         """All at once: measuring in bulk is what makes large files quick."""
@@ -245,8 +179,7 @@ class StoredRun(Run):
         return rows
 
     def _pair(self, ref: SampleRef) -> tuple[GroundTruth, Prediction]:
-        frame_id, _, last = ref.id.rpartition("/")
-        name, index = frame_id.replace("/", "_"), int(last.removeprefix("gt"))
+        name, index = self._places[ref.id]
         frame = self._frames[name]
         try:
             pose, extents = _posed_box(frame["gt_RTs"][index], frame["gt_scales"][index])
@@ -254,6 +187,7 @@ class StoredRun(Run):
                 pose=Pose(pose.rotation @ NOCS_FROM_SHAPENET, pose.translation),
                 extents=permute_extents(extents, NOCS_FROM_SHAPENET.T),
                 symmetry=symmetry_of(ref.category),
+                symmetry_in_view=self._symmetry_in_view(frame, index, ref.category),
             )
         except ContractError as error:
             raise DataError(f"ground truth: {error}") from None
@@ -269,6 +203,12 @@ class StoredRun(Run):
             )
         except ContractError as error:
             raise AnswerError(f"prediction {detection} of {name}: {error}") from None
+
+    def _symmetry_in_view(self, frame: Frame, index: int, category: str) -> Symmetry | None:
+        """That of a mug whose handle is hidden, which the NOCS protocol takes for round."""
+        visible = frame.get("gt_handle_visibility")
+        hidden = category == "mug" and visible is not None and not visible[index]
+        return Symmetry.about((0, 1, 0)) if hidden else None
 
     @functools.cache  # noqa: B019 - lives as long as the run
     def _assigned(self, name: str) -> NDArray[np.int64]:

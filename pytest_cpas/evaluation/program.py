@@ -25,6 +25,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pytest_cpas.reading.files import read_bytes, sha256
+
 __all__ = ["UNKNOWN", "Program", "program_of"]
 
 #: The digest of a program whose sources are not on a disk.
@@ -107,7 +109,7 @@ class _Search:
             if "." in name:
                 waiting.append(name.rpartition(".")[0])
             if path.suffix == ".py":
-                text = path.read_bytes()
+                text = read_bytes(path)
                 is_package = path.stem == "__init__"
                 try:
                     tree = ast.parse(text)
@@ -126,8 +128,7 @@ class _Search:
         """Of what is run, by name, and of the names and contents of all files."""
         total = hashlib.sha256(name.encode(errors="backslashreplace"))
         for name, path in sorted((name, path) for path, name in self.files.items()):
-            with path.open("rb") as file:
-                content = hashlib.file_digest(file, "sha256").hexdigest()
+            content = sha256(path)
             total.update(f"{name} {content}\n".encode(errors="backslashreplace"))
         return total.hexdigest()[:16]
 

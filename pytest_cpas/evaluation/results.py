@@ -10,7 +10,6 @@ is dropped; any other damage, and a line that was written by another run, is an 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import secrets
 from collections.abc import Mapping, Sequence
@@ -18,9 +17,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pytest_cpas.evaluation import result_lines
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run
-from pytest_cpas.types import SampleRef
+from pytest_cpas.reading.files import read_bytes
+from pytest_cpas.reading.structured import json_value
+from pytest_cpas.types import DataError, SampleRef
 
 __all__ = [
     "Header",
@@ -33,6 +35,9 @@ __all__ = [
 ]
 
 FORMAT = 6
+
+#: Largest file, bytes: a million rows have a third of it.
+LARGEST = 2**30
 
 #: Characters of a checksum.
 _CHECKSUM = 16
@@ -131,15 +136,15 @@ def checksum_of(last: bytes, text: bytes) -> bytes:
 
 def read_results(path: Path) -> Results:
     """Read a results file; :class:`ResultsError` names the line that is damaged."""
-    return parse_results(path, read_bytes(path))
+    return parse_results(path, read_file(path))
 
 
-def read_bytes(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
     """The content of a results file; :class:`ResultsError` if it cannot be read."""
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ResultsError(f"{path}: cannot be read ({error})") from error
+        return read_bytes(path, LARGEST)
+    except DataError as error:
+        raise ResultsError(str(error)) from error
 
 
 def parse_results(path: Path, content: bytes) -> Results:
@@ -160,27 +165,28 @@ def parse_results(path: Path, content: bytes) -> Results:
             )
         size, last = size + len(line) + 1, expected
         try:
-            value = json.loads(text)
+            value = json_value("its JSON", text)
             if header is None:
                 if value["format"] != FORMAT:
                     raise ValueError(f"format {value['format']}, this version reads {FORMAT}")
-                header = Header(**value["header"])
+                header = Header(**result_lines.header(value["header"]))
             elif "contract" in value:
-                contract[value["contract"]["check"]] = value["contract"]
+                found = result_lines.contract(value["contract"])
+                contract[found["check"]] = found
             elif "program" in value:
-                header = replace(header, provenance=_both(header.provenance, value["program"]))
+                program = result_lines.texts("program", value["program"])
+                header = replace(header, provenance=_both(header.provenance, program))
             else:
-                name, category, scene, model = value["ref"]
-                ref = SampleRef(id=name, category=category, scene=scene, model=model)
+                ref = result_lines.ref(value["ref"])
                 if ref.id in rows:
                     raise ValueError(f"sample {ref.id} has a row already")
                 refs[ref.id] = ref
                 if "row" in value:
-                    rows[ref.id] = Row.of({**value["row"], "sample": name, "category": category})
+                    rows[ref.id] = result_lines.row(ref, value["row"])
                     errors.pop(ref.id, None)
                 else:
-                    errors[ref.id] = value["error"]
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+                    errors[ref.id] = result_lines.text("error", value["error"])
+        except (ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
             raise ResultsError(
                 f"{path}, line {number}: --cpas-results of this version did not write it ({error})"
             ) from error

@@ -22,7 +22,7 @@ from pytest_cpas.evaluation.results import (
     is_torn_header,
     parse_results,
     program_differences,
-    read_bytes,
+    read_file,
 )
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run
@@ -60,7 +60,7 @@ class ResultsFile:
             self._read(reuse_any)
 
     def _read(self, reuse_any: bool) -> None:
-        content = read_bytes(self.path)
+        content = read_file(self.path)
         if is_torn_header(content):
             return
         there = parse_results(self.path, content)

@@ -14,7 +14,16 @@ import scipy
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.facts import fact, in_order
-from pytest_cpas.protocols import PAPER, Protocol, facts_of, shipped_protocol
+from pytest_cpas.protocols import (
+    PAPER,
+    Column,
+    Protocol,
+    Ranking,
+    count_columns,
+    facts_of,
+    score_columns,
+    shipped_protocol,
+)
 from pytest_cpas.types import GroundTruth, MethodInfo, SampleRef
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
@@ -98,7 +107,11 @@ class Run(ABC):
         self.missing, self.damaged = missing, damaged
         self.identity: Mapping[str, str] = identity
         self.protocols = (shipped_protocol(PAPER),) if protocols is None else tuple(protocols)
-        self.facts = tuple(in_order((*_POSE, *facts_of(self.protocols))))
+        of_samples: tuple[Column, ...] = (
+            *count_columns(self.protocols),
+            *score_columns(self.protocols),
+        )
+        self.facts = tuple(in_order((*_POSE, *facts_of(of_samples))))
         self.definitions = {name: fact(name).definition for name in self.facts}
 
     @abstractmethod
@@ -107,4 +120,9 @@ class Run(ABC):
 
     def truth(self, ref: SampleRef) -> GroundTruth | None:
         """The truth about one sample; None where only its row is left."""
+        return None
+
+    def ranking(self) -> Ranking | None:
+        """The detections of the whole data set, ranked for the protocols that ask for it; None
+        where what is judged are no detections."""
         return None

@@ -29,14 +29,16 @@ Boxes = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class AnswerBatch:
-    """n answers, in the standard frames, and the truth about each; all of one ``symmetry``.
+    """n answers, in the standard frames, and the truth about each.
 
-    What several facts need is computed once, when it is first asked for.
+    All truths have one ``symmetry``, and one ``symmetry_in_view``. What several facts need is
+    computed once, when it is first asked for.
     """
 
     truths: Sequence[GroundTruth]
     estimates: Sequence[Hypothesis]
     symmetry: Symmetry
+    symmetry_in_view: Symmetry
 
     def __len__(self) -> int:
         return len(self.truths)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.facts.answers import AnswerBatch
-from pytest_cpas.metrics.boxes import symmetric_iou
+from pytest_cpas.metrics.boxes import axis_aligned_box_iou, nocs_legacy_iou, symmetric_iou
 from pytest_cpas.metrics.definitions import definition
 from pytest_cpas.metrics.pose import rotation_error, translation_error
 from pytest_cpas.metrics.surfaces import SAMPLE_COUNT
@@ -55,6 +55,13 @@ class Fact:
     def failed(self) -> float:
         """Of a sample without an answer: it meets no limit."""
         return -math.inf if self.better == "higher" else math.inf
+
+    @property
+    def most(self) -> float:
+        """The largest value that there is."""
+        if self.unit == "deg":
+            return 180.0
+        return 1.0 if self.better == "higher" else math.inf
 
     def limit_label(self, limit: float) -> str:
         """A limit for people: ``10 deg``, ``2 cm``, ``IoU 0.5``."""
@@ -125,6 +132,33 @@ def _iou(batch: AnswerBatch) -> Sequence[float]:
     return ious
 
 
+def _rotation_in_view(batch: AnswerBatch) -> Sequence[float]:
+    angles = rotation_error(*batch.rotations, batch.symmetry_in_view)
+    errors: list[float] = np.degrees(angles).tolist()
+    return errors
+
+
+def _iou_in_view(batch: AnswerBatch) -> Sequence[float]:
+    estimated, true = batch.boxes
+    ious: list[float] = symmetric_iou(*estimated, *true, batch.symmetry_in_view).tolist()
+    return ious
+
+
+#: Rotations about the up axis that the NOCS protocol tries for what is symmetric about it.
+_SPINS = 20
+
+
+def _nocs_iou(compute: Callable[..., Array]) -> Callable[[AnswerBatch], Sequence[float]]:
+    def ious(batch: AnswerBatch) -> Sequence[float]:
+        axis = batch.symmetry_in_view.axis
+        round_up = batch.symmetry_in_view.sphere or (axis is not None and abs(axis[1]) > 1 - 1e-9)
+        estimated, true = batch.boxes
+        values: list[float] = compute(*estimated, *true, spins=_SPINS if round_up else 1).tolist()
+        return values
+
+    return ious
+
+
 def _of_surface(name: str, variant: str) -> str:
     return definition(name, variant).id(frame="camera", points=SAMPLE_COUNT)
 
@@ -159,6 +193,41 @@ _FACTS: Mapping[str, Fact] = {
             "higher",
             "IoU {}",
             _iou,
+            _BOX,
+        ),
+        Fact(
+            "rotation_in_view_deg",
+            definition("rotation_error", "symmetry-in-view").id(),
+            "deg",
+            "lower",
+            "{} deg",
+            _rotation_in_view,
+        ),
+        Fact(
+            "iou_in_view",
+            definition("iou", "oriented-symmetric-in-view").id(),
+            "",
+            "higher",
+            "IoU {}",
+            _iou_in_view,
+            _BOX,
+        ),
+        Fact(
+            "iou_axis_aligned",
+            definition("iou", "axis-aligned-boxes").id(),
+            "",
+            "higher",
+            "IoU (axis-aligned) {}",
+            _nocs_iou(axis_aligned_box_iou),
+            _BOX,
+        ),
+        Fact(
+            "iou_legacy",
+            definition("iou", "nocs-legacy").id(),
+            "",
+            "higher",
+            "IoU (legacy) {}",
+            _nocs_iou(nocs_legacy_iou),
             _BOX,
         ),
         Fact(

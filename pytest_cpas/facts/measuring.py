@@ -26,11 +26,13 @@ def measure_facts(
     """
     measured: list[dict[str, float | None]] = [dict.fromkeys(names) for _ in truths]
     wanted = [made for name in names if (made := fact(name)).needs <= set(gives)]
-    groups: dict[Symmetry, list[int]] = defaultdict(list)
+    groups: dict[tuple[Symmetry, Symmetry], list[int]] = defaultdict(list)
     for index, truth in enumerate(truths):
-        groups[truth.symmetry].append(index)
-    for symmetry, members in groups.items():
-        batch = AnswerBatch([truths[i] for i in members], [estimates[i] for i in members], symmetry)
+        groups[truth.symmetry, truth.symmetry_in_view or truth.symmetry].append(index)
+    for symmetries, members in groups.items():
+        batch = AnswerBatch(
+            [truths[i] for i in members], [estimates[i] for i in members], *symmetries
+        )
         for made in wanted:
             for i, value in zip(members, made.compute(batch), strict=True):
                 measured[i][made.name] = value

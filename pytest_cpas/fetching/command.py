@@ -26,6 +26,7 @@ from pytest_cpas.fetching.download import (
     sha256,
 )
 from pytest_cpas.reading.archives import ArchiveError, unpack
+from pytest_cpas.reading.files import read_text
 from pytest_cpas.types import Asset, MethodInfo
 
 __all__ = ["FetchError", "fetch", "find_source"]
@@ -133,19 +134,19 @@ def _is_done(file: SourceFile, folder: Path, kept: Path) -> bool:
         mark.is_file()
         and (folder / file.gives).exists()
         and known is not None
-        and mark.read_text(encoding="utf-8") == known
+        and read_text(mark) == known
     )
 
 
 def _fetch_file(file: SourceFile, folder: Path, kept: Path, tell: Callable[[str], None]) -> None:
     sums = Checksums(kept)
     if not file.unpack:
-        digest = download(file.url, folder / file.to, sums.get(file.to))
+        digest = download(file.url, folder / file.to, sums.get(file.to), sums.path)
         sums.record(file.to, digest)
         return
     name = _archive_name(file)
     archive = kept / name
-    digest = download(file.url, archive, sums.get(name))
+    digest = download(file.url, archive, sums.get(name), sums.path)
     try:
         count = unpack(archive, folder / file.unpack)
     except ArchiveError as error:

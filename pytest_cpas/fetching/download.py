@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas._files import write_file
+from pytest_cpas.reading.files import read_text
 
 #: Seconds to wait for a connection, and for the next bytes.
 TIMEOUT = (30, 60)
@@ -38,7 +39,7 @@ class Checksums:
         self.path = folder / "SHA256SUMS"
         self._known: dict[str, str] = {}
         if self.path.is_file():
-            for line in self.path.read_text(encoding="utf-8", errors="replace").splitlines():
+            for line in read_text(self.path, errors="replace").splitlines():
                 match = re.fullmatch(r"([0-9a-f]{64})  (.+)", line)
                 if match is None:
                     raise FetchError(
@@ -78,10 +79,11 @@ def announced_size(url: str) -> int | None:
     return int(length) if answer.ok and length.isdigit() else None
 
 
-def download(url: str, path: Path, known: str | None) -> str:
+def download(url: str, path: Path, known: str | None, sums: Path | None = None) -> str:
     """Have the file at ``url`` in ``path``, and return its SHA-256.
 
-    What is there already is used if it has the sum ``known`` (any, if None). An interrupted
+    What is there already is used if it has the sum ``known`` (any, if None), which is in the file
+    ``sums`` (in the folder of ``path``, if None). An interrupted
     download stays in ``path`` with ``.part`` appended and is gone on with. Raises
     :class:`FetchError`.
     """
@@ -108,7 +110,7 @@ def download(url: str, path: Path, known: str | None) -> str:
         raise FetchError(
             f"{url}: its checksum is another one than at the first download ({known}). It was"
             " damaged on the way, or published anew, or exchanged; if you trust it, remove its line"
-            f" from {path.parent / 'SHA256SUMS'}"
+            f" from {sums or path.parent / 'SHA256SUMS'}"
         ) from error
     except OSError as error:
         raise FetchError(f"{path}: it cannot be written ({error})") from error
@@ -152,7 +154,7 @@ class _Resuming:
         from tqdm import tqdm
 
         have = self._size()
-        version = self._note.read_text() if self._note.is_file() else ""
+        version = read_text(self._note, errors="replace") if self._note.is_file() else ""
         headers = {"Accept-Encoding": "identity"}
         if have and version:
             headers |= {"Range": f"bytes={have}-", "If-Range": version}

@@ -13,18 +13,20 @@ from pytest_cpas._files import cache_folder, sync_folder, write_through
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
 from pytest_cpas.golden.tables import GoldenError, RunTable
 from pytest_cpas.golden.texts import (
-    FACTS,
     RUN,
+    file_names,
     parse_table,
-    protocol_file,
-    protocol_names,
     table_texts,
 )
-from pytest_cpas.types import ContractError
+from pytest_cpas.reading.files import NoFileError, decoded, read_bytes
+from pytest_cpas.types import ContractError, DataError
 from pytest_cpas.types.names import checked_name
 
 __all__ = ["find_golden", "is_recorded", "orphans", "read_golden", "record", "shipped_golden"]
 
+
+#: Largest file of a table, bytes: that of some million samples.
+_LARGEST = 2**30
 
 #: How the name of a file ends that is not complete.
 _PART = ".part"
@@ -59,7 +61,7 @@ def find_golden(golden: Path, method: str, dataset: str) -> RunTable | None:
 def is_recorded(folder: Path) -> bool:
     """Whether a folder holds a golden table, sound or not: a first update that was killed before
     it had written one leaves none."""
-    return any((folder / name).exists() for name in (RUN, FACTS, OLDER_TABLE, OLDER_SAMPLES))
+    return any((folder / name).exists() for name in (RUN, OLDER_TABLE, OLDER_SAMPLES))
 
 
 def record(golden: Path, table: RunTable) -> Path:
@@ -80,7 +82,7 @@ def record(golden: Path, table: RunTable) -> Path:
             _write(folder, table.recordable(previous))
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
-    except OSError as error:
+    except (OSError, DataError) as error:
         raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
     return folder
 
@@ -155,8 +157,8 @@ def _write(folder: Path, table: RunTable) -> None:
 def _check_readable(folder: Path, run: Path, table: RunTable) -> None:
     """Read what is about to replace the old table; :class:`GoldenError` unless it is ``table``."""
     try:
-        again = _read_files(folder, run.read_bytes())
-    except (OSError, UnicodeDecodeError, GoldenError) as error:
+        again = _read_files(folder, _bytes(run))
+    except (OSError, DataError, GoldenError) as error:
         raise GoldenError(f"what would be recorded cannot be read back ({error})") from error
     if table_texts(again) != table_texts(table) or again.samples != table.samples:
         raise GoldenError("what would be recorded is not what is read back")
@@ -236,7 +238,7 @@ def _read_told(folder: Path) -> RunTable:
     """Read a table that nobody writes; :class:`GoldenError` says what to do if it is damaged."""
     try:
         return _read(folder)
-    except (OSError, UnicodeDecodeError, GoldenError) as error:
+    except (OSError, DataError, GoldenError) as error:
         raise GoldenError(
             f"{folder}: {error}; it was damaged or edited by hand. Restore it from version"
             " control, or remove it and record it anew with --snapshot-update"
@@ -245,7 +247,9 @@ def _read_told(folder: Path) -> RunTable:
 
 def _read(folder: Path) -> RunTable:
     if not (folder / RUN).exists() and (folder / OLDER_TABLE).exists():
-        older = (_text(_bytes(folder / name)) for name in (OLDER_TABLE, OLDER_SAMPLES))
+        older = (
+            _text(folder / name, _bytes(folder / name)) for name in (OLDER_TABLE, OLDER_SAMPLES)
+        )
         return parse_older(folder.parent.name, folder.name, *older)
     return _read_files(folder, _bytes(folder / RUN))
 
@@ -253,28 +257,29 @@ def _read(folder: Path) -> RunTable:
 def _read_files(folder: Path, run: bytes) -> RunTable:
     """The files are those that wait for this ``run.toml``, else those in their places."""
     digest = hashlib.sha256(run).hexdigest()
-    texts = {RUN: _text(run)}
-    for name in (FACTS, *map(protocol_file, protocol_names(texts[RUN]))):
+    texts = {RUN: _text(folder / RUN, run)}
+    for name in file_names(texts[RUN]):
         waiting = _waiting(folder, digest, name)
-        texts[name] = _text(_bytes(waiting if waiting.exists() else folder / name))
+        path = waiting if waiting.exists() else folder / name
+        texts[name] = _text(folder / name, _bytes(path))
     return parse_table(folder.parent.name, folder.name, texts)
 
 
-def _text(content: bytes) -> str:
+def _text(path: Path, content: bytes) -> str:
     """Text that may have been checked out with the line ends of Windows; what is recorded has no
     carriage return of its own."""
-    return content.decode("utf-8").replace("\r\n", "\n")
+    return decoded(path, content).replace("\r\n", "\n")
 
 
 def _bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
+        return read_bytes(path, _LARGEST)
+    except NoFileError as error:
         raise GoldenError(f"{path.name} is missing") from error
 
 
 def _content(path: Path) -> bytes | None:
-    return path.read_bytes() if path.exists() else None
+    return read_bytes(path, _LARGEST) if path.exists() else None
 
 
 def _digest(path: Path) -> str:

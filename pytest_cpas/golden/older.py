@@ -6,15 +6,13 @@ They are judged as far as they go, and named as ones to record anew.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import io
+import math
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from pytest_cpas.evaluation import Answer
 from pytest_cpas.facts import fact
@@ -27,6 +25,9 @@ from pytest_cpas.protocols import (
     judge_outcomes,
     shipped_protocol,
 )
+from pytest_cpas.reading.structured import parse_toml
+from pytest_cpas.reading.tables import csv_lines, real
+from pytest_cpas.types import DataError
 
 __all__ = ["OLDER_SAMPLES", "OLDER_TABLE", "parse_older"]
 
@@ -61,9 +62,9 @@ _JUDGED = ("10deg_2cm", "10deg_2cm_f60", "5deg_1cm", "5deg_1cm_f80")
 def parse_older(method: str, dataset: str, table_toml: str, samples_csv: str) -> RunTable:
     """A table from the texts of its two files; :class:`GoldenError` if they are none."""
     try:
-        content: dict[str, Any] = tomllib.loads(table_toml)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise GoldenError(f"{OLDER_TABLE}: {error}") from error
+        content = parse_toml(OLDER_TABLE, table_toml)
+    except DataError as error:
+        raise GoldenError(str(error)) from error
     if content.get("format") != _FORMAT:
         raise GoldenError(f"{OLDER_TABLE}: format is {content.get('format')!r}, expected {_FORMAT}")
     seeds = content.get("seeds")
@@ -76,13 +77,7 @@ def parse_older(method: str, dataset: str, table_toml: str, samples_csv: str) ->
     identity, provenance, cells = sections
     if content.get("samples_sha256") != hashlib.sha256(samples_csv.encode()).hexdigest():
         raise GoldenError(f"{OLDER_SAMPLES} is not the file that {OLDER_TABLE} was made with")
-    lines = csv.reader(io.StringIO(samples_csv, newline=""))
-    try:
-        if tuple(next(lines, ())) != _COLUMNS:
-            raise ValueError(f"expected the columns {', '.join(_COLUMNS)}")
-        read = {line[0]: _sample(line, seeds) for line in lines}
-    except (ValueError, IndexError, csv.Error) as error:
-        raise GoldenError(f"{OLDER_SAMPLES}: {error}") from error
+    read = _samples(samples_csv, seeds)
     only_first = any(sample.wavers for sample in read.values())
     protocol = _protocol(only_first)
     names = {then: now for now, then in _FACTS.items()}
@@ -104,19 +99,41 @@ def parse_older(method: str, dataset: str, table_toml: str, samples_csv: str) ->
     return table
 
 
+def _samples(samples_csv: str, seeds: int) -> dict[str, TableSample]:
+    """The lines of ``samples.csv``; :class:`GoldenError` names the one that is none."""
+    samples: dict[str, TableSample] = {}
+    number = 1
+    try:
+        lines = csv_lines(OLDER_SAMPLES, io.StringIO(samples_csv, newline=""))
+        if tuple(next(lines, (0, ()))[1]) != _COLUMNS:
+            raise ValueError(f"expected the columns {', '.join(_COLUMNS)}")
+        for number, line in lines:  # noqa: B007 - told if the line is wrong
+            if line[0] in samples:
+                raise ValueError(f"sample {line[0]} is there twice")
+            samples[line[0]] = _sample(line, seeds)
+    except DataError as error:
+        raise GoldenError(str(error)) from error
+    except ValueError as error:
+        raise GoldenError(f"{OLDER_SAMPLES}, line {number}: {error}") from error
+    return samples
+
+
 def _sample(line: Sequence[str], seeds: int) -> TableSample:
-    _, category, outcome, repeats, *errors, failure = line
+    _, category, outcome, repeats, translation, rotation, iou, fscore, failure = line
     outcomes = (outcome, *repeats.split())
     if len(outcomes) not in (1, seeds) or any(
         not re.fullmatch(r"[01-]{4}", each) for each in outcomes
     ):
-        raise ValueError(f"outcomes {' '.join(outcomes)}")
-    facts = {
-        name: float(value) if value else None for name, value in zip(_FACTS, errors, strict=True)
-    }
+        raise ValueError(f"outcomes {' '.join(outcomes)[:80]!r}")
+    errors = (
+        real(translation),
+        real(rotation),
+        real(iou, -math.inf, 1.01) if iou else None,
+        real(fscore, -math.inf, 1.01) if fscore else None,
+    )
     return TableSample(
         category=category,
-        answers=(Answer(facts=facts, failure=failure or None),),
+        answers=(Answer(facts=dict(zip(_FACTS, errors, strict=True)), failure=failure or None),),
         outcomes=outcomes if len(outcomes) == seeds else (outcome,) * seeds,
     )
 

@@ -9,7 +9,6 @@ called worse with at most ``FALSE_ALARMS`` probability, whatever the number of c
 from __future__ import annotations
 
 import bisect
-import csv
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from pytest_cpas.golden.comparison import Word
 from pytest_cpas.golden.files import shipped_golden
 from pytest_cpas.metrics.precision import Count
 from pytest_cpas.protocols import PAPER, CountColumn, shipped_protocol
+from pytest_cpas.reading.tables import read_csv
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.datasets import STORED
 from pytest_cpas.types.samples import ALL, COMPLETENESS
@@ -151,8 +151,7 @@ def _column(line: Mapping[str, str]) -> CountColumn:
 
 @functools.cache
 def _read(name: str) -> list[dict[str, str]]:
-    with (shipped_golden() / "published" / name).open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    return read_csv(shipped_golden() / "published" / name)
 
 
 def compare_published(

@@ -26,6 +26,7 @@ from pytest_cpas.golden.jitter import parse_alarm
 from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import RunTable
 from pytest_cpas.golden.texts import parse_table, table_texts
+from pytest_cpas.reading.text import terminal_line, terminal_lines
 from pytest_cpas.types import Required, Verdict
 
 
@@ -128,7 +129,8 @@ class GoldenExtension(AbstractSyrupyExtension):
             return False
         for verdict in verdicts:
             if not verdict.passed:
-                warnings.warn(pytest.PytestWarning(str(verdict)), stacklevel=2)
+                warning = pytest.PytestWarning(terminal_lines(str(verdict)))
+                warnings.warn(warning, stacklevel=2)
         return True
 
     def diff_lines(
@@ -138,7 +140,7 @@ class GoldenExtension(AbstractSyrupyExtension):
         if snapshot_data:
             for verdict in self._verdicts(serialized_data, snapshot_data):
                 if self._fails(verdict):
-                    yield from str(verdict).splitlines()
+                    yield from map(terminal_line, str(verdict).splitlines())
 
     def _fails(self, verdict: Verdict) -> bool:
         return verdict.outcome(self.required) == "failed"

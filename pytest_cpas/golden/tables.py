@@ -10,15 +10,19 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from pytest_cpas.evaluation import Answer, Row, Run
-from pytest_cpas.facts import Facts, fact
+from pytest_cpas.facts import Facts, fact, in_order
 from pytest_cpas.protocols import (
     CountColumn,
     Protocol,
+    Ranking,
+    RankingColumn,
     ScoreTable,
     Table,
     count_columns,
     count_table,
     judge_outcomes,
+    ranking_columns,
+    ranking_table,
     score_columns,
     score_table,
 )
@@ -93,8 +97,9 @@ class RunTable:
     ``identity`` must agree for two tables to be comparable, ``definitions`` (of facts, by name) for
     two columns to be, ``provenance`` need not; ``own_provenance`` is that of categories which were
     recorded by another run than the rest. ``listed`` counts per category the samples that
-    there are, judged or not; ``seeds`` how often each sample was judged. ``outdated``: it was read
-    from files of an older form, which know less.
+    there are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the
+    detections of the data set, None where there are none, or no protocol ranks them.
+    ``outdated``: it was read from files of an older form, which know less.
     """
 
     method: str
@@ -107,6 +112,7 @@ class RunTable:
     listed: Mapping[str, int]
     seeds: int = 1
     own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    ranking: Ranking | None = None
     outdated: bool = False
 
     @classmethod
@@ -134,6 +140,7 @@ class RunTable:
             samples=table_samples(run.protocols, answers),
             listed=run.listed,
             seeds=run.seeds,
+            ranking=run.ranking() if ranking_columns(run.protocols) else None,
         )
 
     @functools.cached_property
@@ -148,13 +155,27 @@ class RunTable:
 
     @functools.cached_property
     def scores(self) -> ScoreTable:
-        """The scores, of the first seed."""
+        """The scores, of the first seed, and the average precision of rankings."""
         samples = self.samples.values()
-        return score_table(
+        scores = score_table(
             score_columns(self.protocols),
             [sample.category for sample in samples],
             [sample.facts for sample in samples],
         )
+        for category, cells in ranking_table(self.ranking_columns, self.ranking).items():
+            scores.setdefault(category, {}).update(cells)
+        return scores
+
+    @functools.cached_property
+    def ranking_columns(self) -> tuple[RankingColumn, ...]:
+        """Those that rank detections, in the order of the detections' outcomes."""
+        return ranking_columns(self.protocols)
+
+    @functools.cached_property
+    def facts(self) -> tuple[str, ...]:
+        """The names of what is known of samples."""
+        answers = (answer for sample in self.samples.values() for answer in sample.answers)
+        return tuple(in_order({name for answer in answers for name in answer.facts}))
 
     def provenance_of(self, category: str) -> Mapping[str, str]:
         """What else should be known of the run that gave a category."""
@@ -166,6 +187,7 @@ class RunTable:
             self,
             samples={k: s for k, s in self.samples.items() if s.category not in categories},
             listed={k: n for k, n in self.listed.items() if k not in categories},
+            ranking=self.ranking and self.ranking.without(categories),
         )
 
     def recordable(self, previous: RunTable | None) -> RunTable:
@@ -223,11 +245,20 @@ class RunTable:
             }
         if not kept:
             return replace(self, samples=now)
+        ranking = self.ranking
+        if ranking and previous.ranking:
+            ranking = previous.ranking.without(counts).joined(ranking)
         still = {sample.category for sample in kept.values()}
         own = {name: told for name, told in previous.own_provenance.items() if name in still}
         if self.provenance != previous.provenance:
             own |= dict.fromkeys(counts, self.provenance)
-        return replace(self, samples=kept | now, provenance=previous.provenance, own_provenance=own)
+        return replace(
+            self,
+            samples=kept | now,
+            ranking=ranking,
+            provenance=previous.provenance,
+            own_provenance=own,
+        )
 
 
 def table_samples(

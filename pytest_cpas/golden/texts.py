@@ -1,11 +1,13 @@
 """The texts of a golden table's files.
 
 ``run.toml``: what the table is of, and a digest of the facts of each category. ``facts.csv``: one
-line per sample and seed, sorted by category. ``PROTOCOL.toml``: what the columns of a protocol are,
-and one cell per line. No text says anything that two changes of different categories would both
-have to change, and none of theirs stand side by side, so that they can be merged line by line.
+line per sample and seed, sorted by category. ``detections.csv``: one line per detection, where a
+protocol ranks them: how sure it is, and in which columns it is right. ``PROTOCOL.toml``: what the
+columns of a protocol are, and one cell per line. No text says anything that two changes of
+different categories would both have to change, and none of theirs stand side by side, so that they
+can be merged line by line.
 
-Cells follow from facts: on reading all but the facts is written anew and compared.
+On reading all texts are made anew from what was read, and compared.
 """
 
 from __future__ import annotations
@@ -16,36 +18,34 @@ import io
 import math
 import re
 import sys
-import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pytest_cpas._files import toml_string
 from pytest_cpas.evaluation import Answer
+from pytest_cpas.facts import Fact, fact
 from pytest_cpas.golden.tables import GoldenError, RunTable, table_samples
-from pytest_cpas.protocols import Protocol, ProtocolError
+from pytest_cpas.protocols import Protocol, ProtocolError, RankedDetection, Ranking, ranking_columns
+from pytest_cpas.reading.structured import parse_toml
+from pytest_cpas.reading.tables import csv_lines, real
+from pytest_cpas.types import DataError
 from pytest_cpas.types.samples import ALL
 
-__all__ = [
-    "FACTS",
-    "FORMAT",
-    "RUN",
-    "parse_table",
-    "protocol_file",
-    "protocol_names",
-    "table_texts",
-]
+__all__ = ["FORMAT", "RUN", "file_names", "parse_table", "table_texts"]
 
 FORMAT = 3
 
 #: The files of a table, besides one for each protocol.
-RUN, FACTS = "run.toml", "facts.csv"
+RUN, FACTS, DETECTIONS = "run.toml", "facts.csv", "detections.csv"
 
 _TITLE = "# Recorded by pytest-cpas; --snapshot-update records it anew."
 
 #: The columns of ``facts.csv`` before the facts; the last one is why there is no answer.
 _KEYS, _FAILURE = ("category", "sample", "seed"), "failure"
+
+#: The columns of ``detections.csv``.
+_DETECTION = ("category", "detection", "score", "outcome")
 
 
 def protocol_file(name: str) -> str:
@@ -55,58 +55,101 @@ def protocol_file(name: str) -> str:
 
 def table_texts(table: RunTable) -> dict[str, str]:
     """The text of each file, by its name."""
-    groups = _fact_lines(table)
-    head = ",".join((*_KEYS, *table.definitions, _FAILURE))
-    digests = {category: _digest(text) for category, text in groups.items()}
-    return {
-        FACTS: "".join([f"{head}\n", *groups.values()]),
-        **{
-            protocol_file(protocol.name): _protocol_toml(table, protocol)
-            for protocol in table.protocols
-        },
-        RUN: _run_toml(table, digests),
-    }
+    facts, detections = _fact_lines(table), _detection_lines(table)
+    texts = {FACTS: _joined((*_KEYS, *table.facts, _FAILURE), facts)}
+    if table.ranking is not None:
+        texts[DETECTIONS] = _joined(_DETECTION, detections)
+    for protocol in table.protocols:
+        texts[protocol_file(protocol.name)] = _protocol_toml(table, protocol)
+    return {**texts, RUN: _run_toml(table, facts, detections)}
+
+
+def _joined(head: Sequence[str], groups: Mapping[str, str]) -> str:
+    return "".join([f"{','.join(head)}\n", *groups.values()])
 
 
 def _fact_lines(table: RunTable) -> dict[str, str]:
+    """The lines of each category."""
+    ordered = sorted(table.samples.items(), key=lambda item: (item[1].category, item[0]))
+    return _by_category(
+        (
+            sample.category,
+            name,
+            seed,
+            *(_field(answer.facts.get(fact)) for fact in table.facts),
+            answer.failure or "",
+        )
+        for name, sample in ordered
+        for seed, answer in enumerate(sample.answers)
+    )
+
+
+def _detection_lines(table: RunTable) -> dict[str, str]:
+    """The lines of each category."""
+    if table.ranking is None:
+        return {}
+    lines = (
+        (detection.category, name, _field(detection.score), detection.outcome)
+        for name, detection in table.ranking.detections.items()
+    )
+    return _by_category(sorted(lines))
+
+
+def _by_category(lines: Iterable[Sequence[object]]) -> dict[str, str]:
     """The lines of each category, after an empty one: git takes changes of lines that touch each
     other for a conflict."""
     groups: dict[str, io.StringIO] = {}
-    for name, sample in sorted(table.samples.items(), key=lambda item: (item[1].category, item[0])):
-        if sample.category not in groups:
-            groups[sample.category] = io.StringIO("\n")
-            groups[sample.category].seek(0, io.SEEK_END)
-        writer = csv.writer(groups[sample.category], lineterminator="\n")
-        for seed, answer in enumerate(sample.answers):
-            values = [answer.facts.get(fact) for fact in table.definitions]
-            told = ["" if value is None else repr(float(value)) for value in values]
-            writer.writerow([sample.category, name, seed, *told, answer.failure or ""])
+    for line in lines:
+        if (category := str(line[0])) not in groups:
+            groups[category] = io.StringIO()
+            groups[category].write("\n")
+        csv.writer(groups[category], lineterminator="\n").writerow(line)
     return {category: text.getvalue() for category, text in groups.items()}
 
 
-def _run_toml(table: RunTable, digests: Mapping[str, str]) -> str:
-    """``digests``: of the lines of each category, in their order."""
+def _field(value: float | None) -> str:
+    return "" if value is None else repr(float(value))
+
+
+def _run_toml(table: RunTable, facts: Mapping[str, str], detections: Mapping[str, str]) -> str:
     names = ", ".join(toml_string(protocol.name) for protocol in table.protocols)
-    lines = [f"seeds = {table.seeds}", f"protocols = [{names}]"]
+    ranked = str(table.ranking is not None).lower()
+    lines = [f"seeds = {table.seeds}", f"protocols = [{names}]", f"detections = {ranked}"]
     for title in ("identity", "definitions", "provenance"):
         values: Mapping[str, str] = getattr(table, title)
         order = values if title == "definitions" else sorted(values)
         lines += ["", f"[{title}]", *_toml_lines({key: values[key] for key in order})]
     conditions = "\n".join([*lines, *map(_protocol_head, table.protocols)])
     head = [_TITLE, f"format = {FORMAT}", f"conditions = {toml_string(_digest(conditions))}"]
-    counts = Counter(sample.category for sample in table.samples.values())
-    for category, digest in digests.items():
+    for category, stated in _categories(table, facts, detections).items():
         section = f"categories.{toml_string(category)}"
-        lines += ["", f"[{section}]", f"samples = {counts[category]}"]
         own = _toml_lines(dict(sorted(table.own_provenance.get(category, {}).items())))
-        lines += [f"digest = {toml_string(_digest(''.join([digest, *own])))}"]
+        digest = _digest("\n".join([str(stated["facts"]), *own]))
+        lines += ["", f"[{section}]", *_toml_lines({**stated, "facts": digest})]
         if own:
             lines += ["", f"[{section}.provenance]", *own]
     return "\n".join([*head, *lines]) + "\n"
 
 
-def _toml_lines(values: Mapping[str, str]) -> list[str]:
-    return [f"{toml_key(key)} = {toml_string(value)}" for key, value in values.items()]
+def _toml_lines(values: Mapping[str, object]) -> list[str]:
+    return [f"{toml_key(key)} = {_toml_value(value)}" for key, value in values.items()]
+
+
+def _categories(
+    table: RunTable, facts: Mapping[str, str], detections: Mapping[str, str]
+) -> dict[str, dict[str, object]]:
+    """What ``run.toml`` says of each category."""
+    counted = table.ranking.counted if table.ranking else {}
+    samples = Counter(sample.category for sample in table.samples.values())
+    stated: dict[str, dict[str, object]] = {}
+    for category in sorted({*facts, *detections, *counted}):
+        told: dict[str, object] = {"samples": samples[category]}
+        told["facts"] = _digest(facts.get(category, ""))
+        if table.ranking:
+            told["detections"] = _digest(detections.get(category, ""))
+            told["counted"] = list(counted.get(category, ()))
+        stated[category] = told
+    return stated
 
 
 def toml_key(key: str) -> str:
@@ -181,50 +224,65 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
     if content.get("format") != FORMAT:
         raise GoldenError(f"format is {content.get('format')!r}, this version reads {FORMAT}")
     seeds = content.get("seeds")
-    if type(seeds) is not int or seeds < 1:
+    if type(seeds) is not int or not 1 <= seeds < 2**31:
         raise GoldenError(f"{RUN}: seeds is {seeds!r}, expected at least 1")
     sections = {name: content.get(name, 0) for name in ("identity", "definitions", "provenance")}
     for section in sections.values():
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
             raise GoldenError(f"{RUN}: {', '.join(sections)} must be tables of strings")
-    protocols = tuple(_protocol(name, texts) for name in protocol_names(texts[RUN]))
-    lines = io.StringIO(texts[FACTS], newline="")
-    answers, digests = _read_facts(lines, list(sections["definitions"]), seeds)
-    table = RunTable(
-        method=method,
-        dataset=dataset,
-        identity=sections["identity"],
-        definitions=sections["definitions"],
-        provenance=sections["provenance"],
-        protocols=protocols,
-        samples=table_samples(protocols, answers),
-        listed=Counter(category for category, _ in answers.values()),
-        seeds=seeds,
-        own_provenance=_own_provenance(content.get("categories")),
-    )
-    if _run_toml(table, digests) != texts[RUN]:
+    protocols = tuple(_protocol(name, texts) for name in _protocol_names(content))
+    stated = content.get("categories", {})
+    if not isinstance(stated, dict) or not all(isinstance(told, dict) for told in stated.values()):
+        raise GoldenError(f"{RUN}: categories is no table of tables")
+    try:
+        answers = _read_facts(texts[FACTS], seeds)
+        ranking = (
+            _read_ranking(texts[DETECTIONS], stated, protocols) if _is_ranked(content) else None
+        )
+        table = RunTable(
+            method=method,
+            dataset=dataset,
+            identity=sections["identity"],
+            definitions=sections["definitions"],
+            provenance=sections["provenance"],
+            protocols=protocols,
+            samples=table_samples(protocols, answers),
+            listed=Counter(category for category, _ in answers.values()),
+            seeds=seeds,
+            ranking=ranking,
+            own_provenance={name: own for name in stated if (own := _own_provenance(stated, name))},
+        )
+        again = table_texts(table)
+    except (DataError, ValueError, IndexError) as error:
+        raise GoldenError(str(error)) from error
+    for name in (FACTS, DETECTIONS):
+        if again.get(name) != texts.get(name):
+            raise GoldenError(f"{name} is not as it was recorded")
+    if again[RUN] != texts[RUN]:
         raise GoldenError(f"{FACTS} is not the file that {RUN} was made with, or that was edited")
     for protocol in protocols:
-        if _protocol_toml(table, protocol) != texts[protocol_file(protocol.name)]:
-            raise GoldenError(f"{protocol_file(protocol.name)} is not what follows from {FACTS}")
+        if again[file := protocol_file(protocol.name)] != texts[file]:
+            raise GoldenError(f"{file} is not what follows from {FACTS}")
     return table
 
 
-def _own_provenance(categories: object) -> dict[str, dict[str, str]]:
-    """That of categories which were recorded by a run of their own."""
-    told = {}
-    for category, section in categories.items() if isinstance(categories, dict) else ():
-        own = section.get("provenance", {}) if isinstance(section, dict) else 0
-        if not isinstance(own, dict) or not all(isinstance(value, str) for value in own.values()):
-            raise GoldenError(f"{RUN}: [categories.{category}] is not what is recorded")
-        if own:
-            told[category] = own
-    return told
+def _own_provenance(stated: Mapping[str, Mapping[str, Any]], category: str) -> dict[str, str]:
+    """That of a category which was recorded by a run of its own; else empty."""
+    own = stated[category].get("provenance", {})
+    if not isinstance(own, dict) or not all(isinstance(value, str) for value in own.values()):
+        raise GoldenError(f"{RUN}: the provenance of {category} is no table of strings")
+    return own
 
 
-def protocol_names(run_toml: str) -> list[str]:
-    """The protocols that a table was judged under; raises :class:`GoldenError`."""
-    names = _toml(RUN, run_toml).get("protocols")
+def file_names(run_toml: str) -> list[str]:
+    """The other files of a table, as its ``run.toml`` names them; raises :class:`GoldenError`."""
+    content = _toml(RUN, run_toml)
+    ranked = [DETECTIONS] if _is_ranked(content) else []
+    return [FACTS, *ranked, *map(protocol_file, _protocol_names(content))]
+
+
+def _protocol_names(content: Mapping[str, Any]) -> list[str]:
+    names = content.get("protocols")
     if not isinstance(names, list) or not all(
         isinstance(name, str) and re.fullmatch("[a-z][a-z0-9-]*", name) for name in names
     ):
@@ -232,11 +290,18 @@ def protocol_names(run_toml: str) -> list[str]:
     return names
 
 
+def _is_ranked(content: Mapping[str, Any]) -> bool:
+    ranked = content.get("detections")
+    if not isinstance(ranked, bool):
+        raise GoldenError(f"{RUN}: detections is {ranked!r}, expected true or false")
+    return ranked
+
+
 def _toml(name: str, text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise GoldenError(f"{name}: {error}") from error
+        return parse_toml(name, text)
+    except DataError as error:
+        raise GoldenError(str(error)) from error
 
 
 def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
@@ -255,48 +320,66 @@ def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
     return protocol
 
 
-def _read_facts(
-    lines: Iterable[str], names: Sequence[str], seeds: int
-) -> tuple[dict[str, tuple[str, tuple[Answer, ...]]], dict[str, str]]:
-    """The answers of each sample, and the digest of the lines of each category."""
+def _read_facts(text: str, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...]]]:
+    """The category and the answers of each sample."""
+    lines = csv_lines(FACTS, io.StringIO(text, newline=""))
+    _, head = next(lines, (0, []))
+    first, names, last = head[: len(_KEYS)], head[len(_KEYS) : -1], head[-1:]
+    if (*first, *last) != (*_KEYS, _FAILURE):
+        raise ValueError(f"{FACTS}: expected {', '.join(_KEYS)}, facts and {_FAILURE}")
+    in_catalogue = [fact(name) for name in names]
     answers: dict[str, tuple[str, list[Answer]]] = {}
-    digests: dict[str, Any] = {}
-    seen: list[str] = []
-
-    def read() -> Iterable[str]:
-        for line in lines:
-            seen.append(line)
-            yield line
-
-    reader = csv.reader(read())
-    if next(reader, []) != [*_KEYS, *names, _FAILURE]:
-        raise GoldenError(f"{FACTS}: expected the columns {', '.join((*_KEYS, *names, _FAILURE))}")
-    seen.clear()
-    try:
-        for line in filter(None, reader):
-            category, name, seed, *values, failure = line
-            digest = digests.setdefault(category, hashlib.sha256())
-            digest.update("".join(seen).encode("utf-8", "surrogatepass"))
-            seen.clear()
-            facts = {fact: _number(value) for fact, value in zip(names, values, strict=True)}
-            own, given = answers.setdefault(sys.intern(name), (sys.intern(category), []))
-            if own != category or seed != str(len(given)):
-                raise ValueError(f"sample {name}: seed {seed} of {category} is out of order")
-            given.append(Answer(facts=facts, failure=failure or None))
-    except (ValueError, csv.Error) as error:
-        raise GoldenError(f"{FACTS}: {error}") from error
+    for number, line in lines:
+        if not line:
+            continue
+        if len(line) != len(head):
+            raise ValueError(f"{FACTS}, line {number}: {len(line)} fields, expected {len(head)}")
+        category, name, seed = line[: len(_KEYS)]
+        failure = line[-1] or None
+        facts = {
+            made.name: _number(value, made, failure is not None)
+            for made, value in zip(in_catalogue, line[len(_KEYS) : -1], strict=True)
+        }
+        own, given = answers.setdefault(sys.intern(name), (sys.intern(category), []))
+        if own != category or seed != str(len(given)):
+            raise ValueError(f"{FACTS}, line {number}: sample {name}, seed {seed}: out of order")
+        given.append(Answer(facts=facts, failure=failure))
     for name, (_, given) in answers.items():
         if len(given) != seeds:
-            raise GoldenError(f"{FACTS}: sample {name} has {len(given)} seeds, expected {seeds}")
-    return (
-        {name: (category, tuple(given)) for name, (category, given) in answers.items()},
-        {category: digest.hexdigest() for category, digest in digests.items()},
-    )
+            raise ValueError(f"{FACTS}: sample {name} has {len(given)} seeds, expected {seeds}")
+    return {name: (category, tuple(given)) for name, (category, given) in answers.items()}
 
 
-def _number(text: str) -> float | None:
+def _number(text: str, made: Fact, failed: bool) -> float | None:
     if not text:
         return None
-    if math.isnan(value := float(text)):
-        raise ValueError(f"{text} is no number")
-    return value
+    if failed:
+        return real(text, made.failed, made.failed)
+    return real(text, 0.0, made.most * (1 + 1e-6))
+
+
+def _read_ranking(text: str, stated: Mapping[str, Any], protocols: Sequence[Protocol]) -> Ranking:
+    columns = len(ranking_columns(protocols))
+    lines = csv_lines(DETECTIONS, io.StringIO(text, newline=""))
+    if tuple(next(lines, (0, ()))[1]) != _DETECTION:
+        raise ValueError(f"{DETECTIONS}: expected the columns {', '.join(_DETECTION)}")
+    detections: dict[str, RankedDetection] = {}
+    for number, line in lines:
+        if not line:
+            continue
+        if len(line) != len(_DETECTION) or not re.fullmatch(f"[01-]{{{columns}}}", line[-1]):
+            raise ValueError(f"{DETECTIONS}, line {number}: expected {', '.join(_DETECTION)}")
+        category, name, score, outcome = line
+        value = real(score, -math.inf, math.inf)
+        detections[name] = RankedDetection(sys.intern(category), value, sys.intern(outcome))
+    counted = {
+        category: tuple(numbers)
+        for category, told in stated.items()
+        if isinstance(numbers := told.get("counted"), list) and numbers
+    }
+    for category, numbers in counted.items():
+        if len(numbers) != columns or not all(type(n) is int and n >= 0 for n in numbers):
+            raise ValueError(
+                f"{RUN}: counted of {category} is {numbers}, expected {columns} counts"
+            )
+    return Ranking(detections, counted)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pytest_cpas.types import ContractError
 
-__all__ = ["POSE_MATCH_IOU", "AveragePrecision", "Detections"]
+__all__ = ["POSE_MATCH_IOU", "AveragePrecision", "Detections", "Matches", "interpolated_area"]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -39,6 +39,18 @@ class AveragePrecision:
         """mAP: mean over the categories that have ground truth; None (n/a) if none has."""
         present = [value for value in self.by_category.values() if value is not None]
         return float(np.mean(present)) if present else None
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Which predictions are right, and what of both sides takes part.
+
+    ``matched`` and ``taking_part`` (P,) of the predictions, ``counted`` (G,) of the ground truth.
+    """
+
+    matched: NDArray[np.bool_]
+    taking_part: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
 
 
 class Detections:
@@ -85,9 +97,14 @@ class Detections:
 
     def iou_ap(self, iou: ArrayLike, threshold: float) -> AveragePrecision:
         """AP at an IoU threshold. ``iou`` (K,) of the pairs; a match is **above** the threshold."""
+        return self.average_precision(self.iou_matches(iou, threshold))
+
+    def iou_matches(self, iou: ArrayLike, threshold: float) -> Matches:
+        """What :meth:`iou_ap` ranks."""
         iou = self._per_pair(iou, "iou")
         matched, _ = self._match(-iou, iou > threshold)
-        return self._curve_area(matched, np.ones(len(self.scores), dtype=bool), self.true_category)
+        everything = np.ones(len(self.scores), dtype=bool), np.ones(len(self.true_category), bool)
+        return Matches(matched, *everything)
 
     def pose_ap(
         self,
@@ -104,6 +121,21 @@ class Detections:
         degrees and centimetres. ``match_iou`` (K,) switches to "use matches for pose", which the
         literature prints: only predictions and ground truth matched at IoU 0.1 take part.
         """
+        limits = max_rotation_deg, max_position_m
+        return self.average_precision(
+            self.pose_matches(rotation_deg, position_m, *limits, match_iou=match_iou)
+        )
+
+    def pose_matches(
+        self,
+        rotation_deg: ArrayLike,
+        position_m: ArrayLike,
+        max_rotation_deg: float,
+        max_position_m: float,
+        *,
+        match_iou: ArrayLike | None = None,
+    ) -> Matches:
+        """What :meth:`pose_ap` ranks."""
         rotation = self._per_pair(rotation_deg, "rotation_deg")
         position = self._per_pair(position_m, "position_m")
         cost = rotation + 100 * position
@@ -115,7 +147,22 @@ class Detections:
             taking_part, counted = self._match(-iou, iou > POSE_MATCH_IOU)
             near &= taking_part[self.pairs[:, 0]] & counted[self.pairs[:, 1]]
         matched, _ = self._match(cost, near)
-        return self._curve_area(matched, taking_part, self.true_category[counted])
+        return Matches(matched, taking_part, counted)
+
+    def average_precision(self, matches: Matches) -> AveragePrecision:
+        """AP of each category."""
+        counted = self.true_category[matches.counted]
+        areas: dict[int, float | None] = {}
+        for category in self.categories:
+            if not np.any(self.true_category == category):
+                areas[category] = None
+                continue
+            chosen = matches.taking_part & (self.pred_category == category)
+            truths = int(np.count_nonzero(counted == category))
+            areas[category] = interpolated_area(
+                self.scores[chosen], matches.matched[chosen], truths
+            )
+        return AveragePrecision(areas)
 
     def _per_pair(self, value: ArrayLike, name: str) -> Array:
         values = np.asarray(value, dtype=np.float64)
@@ -156,22 +203,6 @@ class Detections:
             pred, true = pred[open_pairs], true[open_pairs]
         return pred_matched, true_matched
 
-    def _curve_area(
-        self,
-        matched: NDArray[np.bool_],
-        taking_part: NDArray[np.bool_],
-        counted_categories: NDArray[np.generic],
-    ) -> AveragePrecision:
-        areas: dict[int, float | None] = {}
-        for category in self.categories:
-            if not np.any(self.true_category == category):
-                areas[category] = None
-                continue
-            chosen = taking_part & (self.pred_category == category)
-            truths = int(np.count_nonzero(counted_categories == category))
-            areas[category] = _interpolated_area(self.scores[chosen], matched[chosen], truths)
-        return AveragePrecision(areas)
-
 
 def _equal_pairs(left: Indices, right: Indices) -> Indices:
     """All (i, j) with ``left[i] == right[j]``, as (K, 2), in the order of i, then j."""
@@ -184,8 +215,12 @@ def _equal_pairs(left: Indices, right: Indices) -> Indices:
     return np.stack([i, order[start[i] + within]], axis=1)
 
 
-def _interpolated_area(scores: Array, correct: NDArray[np.bool_], truths: int) -> float:
-    """Area under the interpolated precision-recall curve; 0 if nothing is correct."""
+def interpolated_area(scores: Array, correct: NDArray[np.bool_], truths: int) -> float:
+    """Area under the interpolated precision-recall curve; 0 if nothing is correct.
+
+    ``scores`` (P,) and ``correct`` (P,) of the predictions of a category, of which there are
+    ``truths`` to find. Predictions with equal scores enter together.
+    """
     order = np.argsort(-scores, kind="stable")
     hits = np.cumsum(correct[order])
     if truths == 0 or len(hits) == 0 or hits[-1] == 0:

@@ -58,9 +58,13 @@ DEFINITIONS: Mapping[tuple[str, str], Definition] = MappingProxyType(
         (entry.name, entry.variant): entry
         for entry in (
             Definition("rotation_error", "symmetry-group", 1, "deg", "lower", PAPER),
+            Definition("rotation_error", "symmetry-in-view", 1, "deg", "lower", NOCS),
             Definition("translation_error", "euclidean", 1, "m", "lower", PAPER),
             Definition("iou", "oriented", 1, "", "higher", PAPER),
             Definition("iou", "oriented-symmetric", 1, "", "higher", PAPER),
+            Definition(
+                "iou", "oriented-symmetric-in-view", 1, "", "higher", PAPER + ", symmetry of NOCS"
+            ),
             Definition("iou", "axis-aligned-boxes", 1, "", "higher", NOCS + ", repaired"),
             Definition("iou", "nocs-legacy", 1, "", "higher", NOCS),
             Definition("iou_plus", "axis-aligned-surfaces", 1, "", "higher", PAPER),

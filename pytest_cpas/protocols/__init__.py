@@ -5,6 +5,7 @@ from pytest_cpas.protocols.columns import (
     CountColumn,
     Protocol,
     ProtocolError,
+    RankingColumn,
     ScoreColumn,
 )
 from pytest_cpas.protocols.files import PAPER, read_protocol, shipped_protocol, shipped_protocols
@@ -16,9 +17,11 @@ from pytest_cpas.protocols.judging import (
     count_table,
     facts_of,
     judge_outcomes,
+    ranking_columns,
     score_columns,
     score_table,
 )
+from pytest_cpas.protocols.ranking import RankedDetection, Ranking, rank, ranking_table
 
 __all__ = [
     "PAPER",
@@ -26,6 +29,9 @@ __all__ = [
     "CountColumn",
     "Protocol",
     "ProtocolError",
+    "RankedDetection",
+    "Ranking",
+    "RankingColumn",
     "Score",
     "ScoreColumn",
     "ScoreTable",
@@ -34,6 +40,9 @@ __all__ = [
     "count_table",
     "facts_of",
     "judge_outcomes",
+    "rank",
+    "ranking_columns",
+    "ranking_table",
     "read_protocol",
     "score_columns",
     "score_table",

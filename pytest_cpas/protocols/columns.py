@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from pytest_cpas.facts import Fact, FactError, fact
 from pytest_cpas.types import ContractError
 
-__all__ = ["Column", "CountColumn", "Protocol", "ProtocolError", "ScoreColumn"]
+__all__ = ["Column", "CountColumn", "Protocol", "ProtocolError", "RankingColumn", "ScoreColumn"]
 
 #: The most that a limit may be, by the unit of its fact; what lies beyond is taken for a mistake.
 _LARGEST: Mapping[str, float] = {"deg": 180.0, "m": 100.0, "": 1000.0}
@@ -98,7 +98,46 @@ class ScoreColumn(_Column):
         return fact(self.median).better if self.median else "higher"
 
 
-Column: TypeAlias = CountColumn | ScoreColumn
+@dataclass(frozen=True, kw_only=True)
+class RankingColumn(_Column):
+    """Average precision of detections: the area under their precision-recall curve.
+
+    ``limits``: an IoU above which, or the two errors of a pose at and below which, a detection is
+    right. ``matched``: the IoU by which detections and objects must be matched to take part in the
+    AP of poses ("use matches for pose"); "" if all do.
+    """
+
+    limits: Mapping[str, float]
+    matched: str = ""
+
+    def declared(self) -> dict[str, object]:
+        """As the ``[[columns]]`` table of a file has it."""
+        matched = {"matched": self.matched} if self.matched else {}
+        return {**super().declared(), "ap": dict(self.limits), **matched}
+
+    @property
+    def facts(self) -> tuple[Fact, ...]:
+        """What it is judged by."""
+        return tuple(map(fact, [*self.limits, *filter(None, [self.matched])]))
+
+    @property
+    def better(self) -> Literal["higher"]:
+        """Which direction is the better one."""
+        return "higher"
+
+    @property
+    def is_pose(self) -> bool:
+        """Whether poses are ranked, and not boxes."""
+        return len(self.limits) == 2
+
+    @property
+    def pose_limits(self) -> tuple[tuple[str, float], tuple[str, float]]:
+        """The fact that is an angle and its limit, and the one that is a distance."""
+        angle, distance = sorted(self.limits.items(), key=lambda item: fact(item[0]).unit)
+        return angle, distance
+
+
+Column: TypeAlias = CountColumn | ScoreColumn | RankingColumn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +168,11 @@ class Protocol:
     def scores(self) -> list[ScoreColumn]:
         """The columns that have a number per sample."""
         return [column for column in self.columns if isinstance(column, ScoreColumn)]
+
+    @property
+    def rankings(self) -> list[RankingColumn]:
+        """The columns that rank detections."""
+        return [column for column in self.columns if isinstance(column, RankingColumn)]
 
 
 class _Parser:
@@ -181,21 +225,26 @@ class _Parser:
     def column(self, protocol: str, section: object) -> Column:
         if not isinstance(section, dict):
             raise self.fail(f"a column is {section!r}, expected a [[columns]] table")
-        self.known(section, ("id", "label", "guard", "at", "area", "bins", "median"), "a column")
+        self.known(
+            section,
+            ("id", "label", "guard", "at", "area", "bins", "median", "ap", "matched"),
+            "a column",
+        )
         name = self.text(section, "id")
         if not re.fullmatch(r"[a-z0-9][a-z0-9_]{0,59}", name):
             raise self.fail(f"id is {name!r}, expected up to 60 small letters, digits and '_'")
         guard = section.get("guard", False)
         if not isinstance(guard, bool):
             raise self.fail(f"column {name}: guard is {guard!r}, expected true or false")
-        kinds = [kind for kind in ("at", "area", "median") if kind in section]
+        kinds = [kind for kind in ("at", "area", "median", "ap") if kind in section]
         if len(kinds) != 1:
             raise self.fail(
                 f"column {name} has {' and '.join(kinds) or 'no judgement'}, expected one of at"
-                " (limits), area (from and to) and median (a fact)"
+                " (limits), area (from and to), median (a fact) and ap (limits)"
             )
-        if "bins" in section and kinds != ["area"]:
-            raise self.fail(f"column {name}: bins belong to an area")
+        for key, kind in (("bins", "area"), ("matched", "ap")):
+            if key in section and kinds != [kind]:
+                raise self.fail(f"column {name}: {key} belongs to {kind}")
         common = functools.partial(dict[str, Any], protocol=protocol, id=name, guard=guard)
         if kinds == ["at"]:
             limits = {
@@ -204,6 +253,8 @@ class _Parser:
             }
             label = ", ".join(fact(key).limit_label(limit) for key, limit in limits.items())
             return CountColumn(**common(label=self.text(section, "label", label)), limits=limits)
+        if kinds == ["ap"]:
+            return self.ranking(section, common)
         if kinds == ["median"]:
             made = self.fact(name, section["median"])
             label = self.text(section, "label", f"median {made.name}")
@@ -221,6 +272,29 @@ class _Parser:
         )
         label = self.text(section, "label", f"area from {told}")
         return ScoreColumn(**common(label=label), areas=areas, bins=bins)
+
+    def ranking(
+        self, section: Mapping[str, object], common: Callable[..., dict[str, Any]]
+    ) -> RankingColumn:
+        name = self.text(section, "id")
+        made = self.facts(name, section["ap"])
+        limits = {each.name: self.limit(name, each, value) for each, value in made}
+        units = sorted((each.unit, each.better) for each, _ in made)
+        if units not in ([("", "higher")], [("deg", "lower"), ("m", "lower")]):
+            raise self.fail(
+                f"column {name}: ap of {', '.join(limits)}, expected an IoU, or an angle and a"
+                " distance"
+            )
+        label = "AP " + ", ".join(fact(key).limit_label(limit) for key, limit in limits.items())
+        matched = ""
+        if "matched" in section:
+            by = self.fact(name, section["matched"])
+            if len(limits) == 1 or (by.unit, by.better) != ("", "higher"):
+                raise self.fail(f"column {name}: matched is an IoU, for the AP of poses")
+            matched = by.name
+        return RankingColumn(
+            **common(label=self.text(section, "label", label)), limits=limits, matched=matched
+        )
 
     def fact(self, column: str, name: object) -> Fact:
         try:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
-import tomllib
 from pathlib import Path
 
 from pytest_cpas.protocols.columns import Protocol, ProtocolError
+from pytest_cpas.reading.structured import read_toml
+from pytest_cpas.types import DataError
 
 __all__ = ["PAPER", "read_protocol", "shipped_protocol", "shipped_protocols"]
 
@@ -14,9 +15,6 @@ __all__ = ["PAPER", "read_protocol", "shipped_protocol", "shipped_protocols"]
 PAPER = "cpas"
 
 _SHIPPED = Path(__file__).parent / "shipped"
-
-#: Of the largest file that is read, bytes.
-_LARGEST = 1_000_000
 
 
 def shipped_protocols() -> list[str]:
@@ -38,13 +36,7 @@ def shipped_protocol(name: str) -> Protocol:
 def read_protocol(path: Path) -> Protocol:
     """A protocol in a TOML file; :class:`ProtocolError` that names the file and what is wrong."""
     try:
-        if not path.is_file():
-            raise ProtocolError(f"{path}: there is no such file")
-        if path.stat().st_size > _LARGEST:
-            raise ProtocolError(f"{path}: larger than {_LARGEST} bytes")
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        if isinstance(error, ProtocolError):
-            raise
-        raise ProtocolError(f"{path}: cannot be read as TOML ({error})") from error
+        content = read_toml(path)
+    except DataError as error:
+        raise ProtocolError(str(error)) from error
     return Protocol.parse(content, str(path))

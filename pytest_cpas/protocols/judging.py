@@ -11,7 +11,13 @@ import numpy as np
 
 from pytest_cpas.facts import Facts, fact, in_order
 from pytest_cpas.metrics.precision import Count
-from pytest_cpas.protocols.columns import CountColumn, Protocol, ScoreColumn
+from pytest_cpas.protocols.columns import (
+    Column,
+    CountColumn,
+    Protocol,
+    RankingColumn,
+    ScoreColumn,
+)
 from pytest_cpas.types import Array
 from pytest_cpas.types.samples import ALL
 
@@ -23,6 +29,7 @@ __all__ = [
     "count_table",
     "facts_of",
     "judge_outcomes",
+    "ranking_columns",
     "score_columns",
     "score_table",
 ]
@@ -53,16 +60,14 @@ def score_columns(protocols: Iterable[Protocol]) -> tuple[ScoreColumn, ...]:
     return tuple(column for protocol in protocols for column in protocol.scores)
 
 
-def facts_of(protocols: Iterable[Protocol]) -> tuple[str, ...]:
-    """The names of the facts that protocols need, each once."""
-    return tuple(
-        in_order(
-            made.name
-            for protocol in protocols
-            for column in protocol.columns
-            for made in column.facts
-        )
-    )
+def ranking_columns(protocols: Iterable[Protocol]) -> tuple[RankingColumn, ...]:
+    """The columns that rank detections, of all protocols in their order."""
+    return tuple(column for protocol in protocols for column in protocol.rankings)
+
+
+def facts_of(columns: Iterable[Column]) -> tuple[str, ...]:
+    """The names of the facts that columns need, each once."""
+    return tuple(in_order(made.name for column in columns for made in column.facts))
 
 
 class _Known:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pytest_cpas.reading.paths import regular
+from pytest_cpas.reading.files import regular
 from pytest_cpas.types import Camera, ContractError, DataError
 
 

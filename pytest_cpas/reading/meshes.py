@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from pytest_cpas.reading.paths import regular
+from pytest_cpas.reading.files import regular
 from pytest_cpas.types import Array, ContractError, DataError, Mesh
 
 _FORMATS = (".obj", ".off", ".ply", ".stl")

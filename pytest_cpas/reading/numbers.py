@@ -2,30 +2,42 @@
 
 from __future__ import annotations
 
+import math
+import reprlib
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas.types import Array, DataError
+from pytest_cpas.types._arrays import LARGEST
 
 
 def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
     """Finite numbers of this shape, given as (nested) lists or flat."""
     try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.size != np.prod(shape) or not np.isfinite(array).all():
-        seen = " ".join(str(value).split())
-        seen = seen if len(seen) <= 120 else seen[:117] + "..."
-        raise DataError(f"{what}: {seen}, expected {np.prod(shape)} finite numbers")
+        with np.errstate(over="ignore"):  # what becomes infinite is refused
+            array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        array = np.array([np.nan])
+    if array.size != math.prod(shape) or not (np.abs(array) <= LARGEST).all():
+        raise DataError(f"{what}: {_shown(value)}, expected {math.prod(shape)} finite numbers")
     return array.reshape(shape)
+
+
+def _shown(value: Any) -> str:
+    """What was seen, in a line: of long or deep values the beginning."""
+    try:
+        seen = value if isinstance(value, str) else reprlib.repr(value)
+    except (ValueError, RecursionError):  # an integer of more digits than Python writes
+        seen = f"a {type(value).__name__}"
+    seen = " ".join(seen.split())
+    return seen if len(seen) <= 120 else seen[:117] + "..."
 
 
 def whole(text: object) -> int | None:
     """The number that a text of one to nine digits is, else None."""
-    if isinstance(text, str) and text.isdecimal() and len(text) < 10:
+    if isinstance(text, str) and text.isdecimal() and text.isascii() and len(text) < 10:
         return int(text)
     return None
 

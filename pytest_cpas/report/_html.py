@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from typing import TypeAlias
 from xml.etree.ElementTree import Element, tostring
 
+from pytest_cpas.reading.text import html
+
 Child: TypeAlias = "str | Element | Iterable[Child] | None"
 
 __all__ = ["Child", "Element", "element", "page_text"]
@@ -19,7 +21,7 @@ def element(tag: str, *children: Child, **attributes: str | int | float | bool |
     made = Element(tag)
     for name, value in attributes.items():
         if value is not None and value is not False:
-            made.set(name.rstrip("_").replace("_", "-"), "" if value is True else str(value))
+            made.set(name.rstrip("_").replace("_", "-"), "" if value is True else html(str(value)))
     for child in children:
         _append(made, child)
     return made
@@ -34,9 +36,9 @@ def _append(parent: Element, child: Child) -> None:
         for each in child:
             _append(parent, each)
     elif len(parent):
-        parent[-1].tail = (parent[-1].tail or "") + child
+        parent[-1].tail = (parent[-1].tail or "") + html(child)
     else:
-        parent.text = (parent.text or "") + child
+        parent.text = (parent.text or "") + html(child)
 
 
 def page_text(root: Element) -> str:

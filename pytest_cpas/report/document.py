@@ -48,6 +48,8 @@ from pytest_cpas.protocols import (
     Column,
     CountColumn,
     Protocol,
+    RankingColumn,
+    ScoreColumn,
     count_columns,
     score_columns,
 )
@@ -221,9 +223,13 @@ def _precision(
 def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
     old = golden.scores if golden else {}
     scores: list[ScoreDocument] = []
+    columns: list[ScoreColumn | RankingColumn] = [
+        *score_columns(new.protocols),
+        *new.ranking_columns,
+    ]
     for category in _in_order(new.scores.keys()):
-        for column in score_columns(new.protocols):
-            score = new.scores[category][column.key]
+        for column in columns:
+            score = new.scores[category].get(column.key)
             before = old.get(category, {}).get(column.key)
             scores.append(
                 {
@@ -233,6 +239,7 @@ def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
                     "golden": _finite(before.value) if before else None,
                     "samples": score.samples if score else 0,
                     "better": column.better,
+                    "share": not (isinstance(column, ScoreColumn) and column.median),
                 }
             )
     return scores

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.documents import Document, RunDocument
+from pytest_cpas.reading.text import csv_cell, latex
 from pytest_cpas.report.messages import method_title
 from pytest_cpas.report.tables import Cell, Line, Paper, category_tables, groups, precision_table
 
@@ -32,34 +33,21 @@ _MARKS = ("{}", r"\textbf{{{}}}", r"\underline{{{}}}", r"\textit{{{}}}")
 
 _PLACES = ("first", "second", "third")
 
-#: What LaTeX takes for a command.
-_SPECIAL = {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "|": r"\textbar{}",
-    '"': r"{\char34}",
-    # after the end of a line these would be its arguments
-    "[": "{[}",
-    "*": "{*}",
-    **{character: "\\" + character for character in "&%$#_{}"},
-}
-
 
 def precision_csv(document: Document) -> str:
     """One line per data set, method, category and joint threshold; what is n/a has none.
 
     ``source`` is measured or paper. Between ``correct_low`` and ``correct_high`` of ``total``
     samples are correct: the same number, unless the paper's print leaves it open. The means and
-    medians of scores stand in a second table, of :func:`scores_csv`.
+    medians of scores stand in a second table, of :func:`scores_csv`. Names are cells of
+    :func:`pytest_cpas.reading.text.csv_cell`.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
     for where, threshold, low, high, total in _counts(document):
-        writer.writerow((*where, threshold, low, high, total, f"{low / total:.4f}"))
+        texts = map(csv_cell, (*where, threshold))
+        writer.writerow((*texts, low, high, total, f"{low / total:.4f}"))
     return text.getvalue()
 
 
@@ -111,8 +99,8 @@ def precision_tex(document: Document) -> str:
     for title, runs, published in shown:
         for threshold, categories, table in category_tables(thresholds, runs, published):
             lines += _table(
-                f"Precision on {_escape(title)} per category at {_threshold(threshold)}.",
-                [[_escape(category) for category in categories]],
+                f"Precision on {latex(title)} per category at {_threshold(threshold)}.",
+                [[latex(category) for category in categories]],
                 [(_method(line), line.cells) for line in table],
             )
     return "\n".join(lines) + "\n"
@@ -132,10 +120,10 @@ def _overall(
         cells = itertools.chain.from_iterable(line.cells if line else nothing for line in beside)
         lines.append((next(_method(line) for line in beside if line), list(cells)))
     yield from _table(
-        f"Precision on {' and '.join(_escape(title) for title, *_ in shown)}.",
+        f"Precision on {' and '.join(latex(title) for title, *_ in shown)}.",
         [[_threshold(label) for label in thresholds] for _ in shown],
         lines,
-        titles=[_escape(title) for title, *_ in shown],
+        titles=[latex(title) for title, *_ in shown],
     )
 
 
@@ -170,7 +158,7 @@ def _table(
 
 
 def _method(line: Line) -> str:
-    return _escape(method_title(line.method, line.paper))
+    return latex(method_title(line.method, line.paper))
 
 
 def _cell(cell: Cell | None) -> str:
@@ -187,9 +175,3 @@ def _threshold(label: str) -> str:
         else:
             parts.append(rf"${value}^\circ$" if unit == "deg" else rf"{value}\,{unit}")
     return ", ".join(parts)
-
-
-def _escape(text: str) -> str:
-    """Text from data, as it is, in one line."""
-    shown = (char if char.isprintable() else "?" for char in " ".join(text.split()))
-    return "".join(_SPECIAL.get(char, char) for char in shown).replace("--", "-{}-")

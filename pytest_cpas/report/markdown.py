@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
 from pytest_cpas.documents import AgainstDocument, Document, FlipDocument, RunDocument
+from pytest_cpas.reading.text import markdown as _text
+from pytest_cpas.reading.text import markdown_fence
 from pytest_cpas.report.messages import (
     change_messages,
     contract_message,
@@ -49,10 +50,10 @@ def _lines(document: Document) -> Iterator[str]:
         ["run", "verdict", "samples", "golden"],
         [
             [
-                _escape(f"{run['method']} on {run['dataset']}"),
+                _text(f"{run['method']} on {run['dataset']}"),
                 f"**{outcome_message(run['outcome'])}**",
                 judged_message(run),
-                _escape(verdicts_message(run)),
+                _text(verdicts_message(run)),
             ]
             for run in document["runs"]
         ],
@@ -64,13 +65,13 @@ def _lines(document: Document) -> Iterator[str]:
         yield from _against(document["against"], document["thresholds"])
     thresholds = document["thresholds"]
     for title, runs, published in groups(document):
-        yield f"## {_escape(title)}"
+        yield f"## {_text(title)}"
         yield ""
         yield from _methods(["correct", *thresholds], precision_table(thresholds, runs, published))
         for threshold, categories, lines in category_tables(thresholds, runs, published):
             yield f"<details><summary>per category at {threshold}</summary>"
             yield ""
-            yield from _methods(["correct", *map(_escape, categories)], lines)
+            yield from _methods(["correct", *map(_text, categories)], lines)
             yield "</details>"
             yield ""
     for run in document["runs"]:
@@ -82,10 +83,7 @@ def _lines(document: Document) -> Iterator[str]:
 def _methods(head: Sequence[str], lines: Sequence[Line]) -> Iterator[str]:
     yield from _table(
         head,
-        [
-            [_escape(method_title(line.method, line.paper)), *map(_cell, line.cells)]
-            for line in lines
-        ],
+        [[_text(method_title(line.method, line.paper)), *map(_cell, line.cells)] for line in lines],
     )
 
 
@@ -94,7 +92,7 @@ def _troubles(run: RunDocument) -> Iterator[str]:
     sections = troubles(run)
     if not sections and not run["flips"]:
         return
-    yield f"## {_escape(run['method'])} on {_escape(run['dataset'])}"
+    yield f"## {_text(run['method'])} on {_text(run['dataset'])}"
     yield ""
     for title, lines in sections:
         yield f"**{title}**"
@@ -108,10 +106,10 @@ def _troubles(run: RunDocument) -> Iterator[str]:
 
 def _speed(run: RunDocument) -> Iterator[str]:
     if run["speed"]:
-        yield f"**Speed of {_escape(run['method'])} on {_escape(run['dataset'])}**"
+        yield f"**Speed of {_text(run['method'])} on {_text(run['dataset'])}**"
         yield ""
         for line in speed_lines(run["speed"]):
-            yield f"- {_escape(line)}"
+            yield f"- {_text(line)}"
         yield ""
 
 
@@ -120,9 +118,9 @@ def _flips(flips: Sequence[FlipDocument], every: int) -> Iterator[str]:
         ["sample", "before", "now", "what changed"],
         [
             [
-                _escape(flip["sample"]),
-                _escape(flip["before"]),
-                _escape(flip["after"]),
+                _text(flip["sample"]),
+                _text(flip["before"]),
+                _text(flip["after"]),
                 flip_message(flip, every),
             ]
             for flip in flips[:_SHOWN]
@@ -135,14 +133,14 @@ def _flips(flips: Sequence[FlipDocument], every: int) -> Iterator[str]:
 def _against(against: AgainstDocument, thresholds: Sequence[str]) -> Iterator[str]:
     """The runs beside those of another one."""
     for pair in against["pairs"]:
-        yield f"## {_escape(pair_title(pair))}"
+        yield f"## {_text(pair_title(pair))}"
         yield ""
         yield from _fenced(pair_lines(pair))
         yield from _table(
             ["before → now", *thresholds],
             [
                 [
-                    _escape(category),
+                    _text(category),
                     *("<br>".join(filter(None, change_messages(entry))) for entry in entries),
                 ]
                 for category, entries in category_lines(pair["precision"])
@@ -157,7 +155,7 @@ def _against(against: AgainstDocument, thresholds: Sequence[str]) -> Iterator[st
 
 
 def _categories(run: RunDocument, thresholds: Sequence[str]) -> Iterator[str]:
-    yield f"<details><summary>{_escape(run['method'])} on {_escape(run['dataset'])}"
+    yield f"<details><summary>{_text(run['method'])} on {_text(run['dataset'])}"
     yield "per category, with golden and published precision</summary>"
     yield ""
     lines = []
@@ -167,10 +165,10 @@ def _categories(run: RunDocument, thresholds: Sequence[str]) -> Iterator[str]:
             parts = [_count(Cell.measured(entry["measured"])) if entry["measured"] else "n/a"]
             parts += [f"{source} {cell.percent}" for source, cell in other_cells(entry)]
             cells.append("<br>".join(parts))
-        lines.append([_escape(category), *cells])
+        lines.append([_text(category), *cells])
     yield from _table(["correct", *thresholds], lines)
     if message := contract_message(run["contract"]):
-        yield _escape(message)
+        yield _text(message)
         yield ""
     yield "</details>"
     yield ""
@@ -198,24 +196,14 @@ def _table(
 
 
 def _fenced(lines: Sequence[str]) -> Iterator[str]:
-    """Text from data, verbatim: a fence longer than any in it."""
-    shown = [line for text in lines for line in text.splitlines()][:_SHOWN]
-    longest = max((len(run) for line in shown for run in re.findall("`+", line)), default=0)
-    fence = "`" * max(3, longest + 1)
-    yield fence + "text"
-    yield from shown
-    yield fence
+    """Text from data, as it is."""
+    shown = [line for text in lines for line in text.splitlines()]
+    yield from markdown_fence(shown[:_SHOWN])
     yield ""
-    yield from _rest(sum(len(text.splitlines()) for text in lines))
+    yield from _rest(len(shown))
 
 
 def _rest(count: int) -> Iterator[str]:
     if count > _SHOWN:
         yield f"and {count - _SHOWN} more (report.json has all)"
         yield ""
-
-
-def _escape(text: str) -> str:
-    """Text from data so that Markdown and the HTML in it leave it as it is."""
-    text = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return re.sub(r"([\\`*_\[\]#!|~])", r"\\\1", text)

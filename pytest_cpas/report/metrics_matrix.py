@@ -12,6 +12,7 @@ from pytest_cpas._files import write_file
 from pytest_cpas.checks.metrics.properties import PROPERTIES
 from pytest_cpas.checks.metrics.running import Result
 from pytest_cpas.checks.outcome import Outcome
+from pytest_cpas.reading.text import markdown, markdown_fence
 
 __all__ = ["Cell", "as_json", "as_markdown", "as_table", "write_matrix"]
 
@@ -75,18 +76,16 @@ def as_json(matrix: Matrix) -> str:
 def as_markdown(matrix: Matrix) -> str:
     """A table, and below it the findings with their snippets."""
     rows = as_table(matrix)
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines = ["| " + " | ".join(map(markdown, row)) + " |" for row in rows]
     lines.insert(1, "|" + "---|" * len(rows[0]))
     for subject, cells in matrix.items():
         for name, cell in cells.items():
             if cell.result.snippet:
                 lines += [
                     "",
-                    f"**{subject}, {name}: {cell.words}.** {PROPERTIES[name].statement}.",
+                    f"**{markdown(subject)}, {name}: {cell.words}.** {PROPERTIES[name].statement}.",
                     "",
-                    "```python",
-                    cell.result.snippet,
-                    "```",
+                    *markdown_fence([cell.result.snippet], "python"),
                 ]
     return "\n".join(lines) + "\n"
 

@@ -10,6 +10,7 @@ import pytest
 
 from pytest_cpas.evaluation import Row, Run
 from pytest_cpas.protocols import count_columns, judge_outcomes
+from pytest_cpas.report.terminal import Terminal
 
 #: Seconds until the first line, and from one to the next.
 FIRST, INTERVAL = 10.0, 30.0
@@ -109,16 +110,10 @@ def watch(
     if not terminal.isatty or config.option.collectonly:
         return None
 
-    def write(text: str) -> None:
-        terminal.ensure_newline()
-        if config.get_terminal_writer().width_of_current_line:
-            terminal.line("")  # with xdist, dots stand on a line that pytest does not know
-        terminal.write_line(text)
-
     progress = Progress(
         None if config.option.keyword else sum(len(run.samples) for run in runs),
         {run: list(judged.values()) for run, judged in rows.items()},
-        write,
+        Terminal(terminal).interject,
     )
     config.pluginmanager.register(progress, "cpas-progress")
     return progress

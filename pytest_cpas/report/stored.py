@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
@@ -11,8 +10,10 @@ from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import MergedRun, Row, SampleError, merge
 from pytest_cpas.golden import RunTable
 from pytest_cpas.protocols import Protocol
+from pytest_cpas.reading.structured import read_json
 from pytest_cpas.report.document import FORMAT, run_document
 from pytest_cpas.report.tables import labels
+from pytest_cpas.types import DataError
 
 
 class StoredReportError(Exception):
@@ -25,17 +26,17 @@ def read_report(path: Path) -> Document:
     from jsonschema.exceptions import best_match
 
     try:
-        content = json.loads(path.read_bytes(), parse_constant=_no_constant)
-    except (OSError, ValueError) as error:
-        raise StoredReportError(f"{path}: cannot be read as JSON ({error})") from error
-    if not isinstance(content, dict) or "format" not in content:
+        content = read_json(path)
+    except DataError as error:
+        raise StoredReportError(str(error)) from error
+    if "format" not in content:
         raise StoredReportError(f"{path}: not a report; expected the report.json of --cpas-report")
     if content["format"] != FORMAT:
         raise StoredReportError(
             f"{path}: format {content['format']}, this version reads {FORMAT}; write the report"
             " anew from the results files"
         )
-    schema = json.loads(Path(__file__).with_name("schema.json").read_bytes())
+    schema = read_json(Path(__file__).with_name("schema.json"))
     wrong = best_match(Draft202012Validator(schema).iter_errors(content))
     if wrong is not None:
         raise StoredReportError(
@@ -53,10 +54,6 @@ def read_report(path: Path) -> Document:
                 f" says it was judged in: {'; '.join(columns)}"
             )
     return document
-
-
-def _no_constant(name: str) -> None:
-    raise ValueError(f"{name} is not JSON")
 
 
 def read_runs(

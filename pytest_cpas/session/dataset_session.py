@@ -13,7 +13,7 @@ from pytest_cpas._open3d import import_open3d
 from pytest_cpas.checks.dataset.facts import Survey
 from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.report.sphere_picture import draw_up_axes
-from pytest_cpas.report.terminal import print_survey
+from pytest_cpas.report.terminal import Terminal, print_survey
 from pytest_cpas.session.checked_dataset import CheckedDataset, plain_survey
 from pytest_cpas.session.options import DatasetOptions
 from pytest_cpas.session.suite_session import SuiteSession, report_outcome, usage_errors
@@ -44,10 +44,10 @@ class DatasetSession(SuiteSession):
                 )
                 for name in options.datasets
             ]
-        for checked in self.checked:
-            if not checked.refs and not checked.survey.damaged:
-                lines = [f"{checked.name}: no samples to check", *checked.survey.missing]
-                raise pytest.UsageError("\n".join(lines))
+            for checked in self.checked:
+                if not checked.refs and not checked.survey.damaged:
+                    lines = [f"{checked.name}: no samples to check", *checked.survey.missing]
+                    raise ValueError("\n".join(lines))
         self._verdicts: dict[CheckedDataset, list[Verdict]] = {
             checked: [] for checked in self.checked
         }
@@ -97,11 +97,12 @@ class DatasetSession(SuiteSession):
         """Verdicts and residuals; pictures are drawn."""
         if not self.is_controller or self.config.option.collectonly:
             return
+        terminal = Terminal(terminalreporter)
         for checked, verdicts in self._verdicts.items():
-            print_survey(terminalreporter, checked.survey, len(checked.refs), verdicts)
+            print_survey(terminal, checked.survey, len(checked.refs), verdicts)
         if self.options.pictures is not None:
             path = draw_up_axes(
                 {checked.name: checked.survey.up_axes for checked in self.checked},
                 self.options.pictures / "up_axes.png",
             )
-            terminalreporter.write_line(f"up axes drawn in {path}")
+            terminal.write_line(f"up axes drawn in {path}")

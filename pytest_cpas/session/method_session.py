@@ -24,7 +24,7 @@ from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
-from pytest_cpas.report.terminal import shows_samples
+from pytest_cpas.report.terminal import Terminal, shows_samples
 from pytest_cpas.session.collected import CollectedRun, ItemResult
 from pytest_cpas.session.contract_stage import contract_stages
 from pytest_cpas.session.judging import JudgedRun, judge, record_run
@@ -32,7 +32,13 @@ from pytest_cpas.session.options import RunOptions
 from pytest_cpas.session.protocol_names import resolve_protocols
 from pytest_cpas.session.reporting import Reporter
 from pytest_cpas.session.resolution import open_results, read_others, resolve_runs
-from pytest_cpas.session.suite_session import SuiteSession, grouped, report_outcome, usage_errors
+from pytest_cpas.session.suite_session import (
+    SuiteSession,
+    end_run,
+    grouped,
+    report_outcome,
+    usage_errors,
+)
 from pytest_cpas.types import ContractError, Verdict
 
 __all__ = ["ITEM_RESULT", "CpasSession", "cpas_session"]
@@ -162,7 +168,7 @@ class CpasSession(SuiteSession):
         try:
             collected.add(result)
         except ResultsError as error:
-            pytest.exit(str(error))
+            end_run(error)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """On the controller: collect, and count what failed."""
@@ -185,7 +191,7 @@ class CpasSession(SuiteSession):
                     files.enter_context(collected)
                 return (yield)
         except ResultsError as error:
-            pytest.exit(str(error))
+            end_run(error)
         finally:
             if not isinstance(sys.exception(), KeyboardInterrupt):
                 self._judge_runs(session)
@@ -249,14 +255,15 @@ class CpasSession(SuiteSession):
             self._reporter.document(JudgedRun.unjudged(collected))
             for collected in self.collected.values()
         ]
-        self._reporter.print(terminalreporter, list(self.collected.values()), documents)
+        terminal = Terminal(terminalreporter)
+        self._reporter.print(terminal, list(self.collected.values()), documents)
         if self._report:
-            terminalreporter.write_line(f"report: {self._report}")
+            terminal.write_line(f"report: {self._report}")
         if self.options.update:
             known = {run.method for run in self.runs}
             known |= {entry.name for entry in registry.registered("method")}
             for folder in orphans(self.options.golden, known):
-                terminalreporter.write_line(
+                terminal.write_line(
                     f"orphaned golden table: no method {folder.parent.name} is registered or was"
                     f" judged; if it is gone, remove {folder}"
                 )

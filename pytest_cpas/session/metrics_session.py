@@ -14,6 +14,7 @@ from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.registry import RegistryError
 from pytest_cpas.report.metrics_matrix import Cell, aligned, as_table, write_matrix
+from pytest_cpas.report.terminal import Terminal
 from pytest_cpas.session.options import MetricsOptions
 from pytest_cpas.session.suite_session import SuiteSession, usage_errors
 from pytest_cpas.types import ContractError
@@ -69,27 +70,26 @@ class MetricsSession(SuiteSession):
             name: {prop: cells[prop] for prop in PROPERTIES if prop in cells}
             for name, cells in self._matrix.items()
         }
-        terminalreporter.section("conformance of metrics", bold=True)
+        terminal = Terminal(terminalreporter)
+        terminal.section("conformance of metrics")
         for line in aligned(as_table(matrix)):
-            terminalreporter.write_line(line)
+            terminal.write_line(line)
         for name, cells in matrix.items():
             outcomes = [cell.result.outcome for cell in cells.values()]
             judged = len(outcomes) - outcomes.count(Outcome.NOT_OFFERED)
             known = sum(cell.expected for cell in cells.values())
-            terminalreporter.write_line(
+            terminal.write_line(
                 f"{name}: {outcomes.count(Outcome.PASSED)} of {judged} properties hold,"
                 f" {known} known violations, {len(outcomes) - judged} n/a"
             )
             if self.options.update:
-                self._record(terminalreporter, name, cells)
+                self._record(terminal, name, cells)
         for path in self.options.reports:
             write_matrix(path, matrix)
 
-    def _record(
-        self, terminalreporter: pytest.TerminalReporter, name: str, cells: dict[str, Cell]
-    ) -> None:
+    def _record(self, terminal: Terminal, name: str, cells: dict[str, Cell]) -> None:
         if len(cells) < len(PROPERTIES):
-            terminalreporter.write_line(
+            terminal.write_line(
                 f"NOT RECORDED: {len(cells)} of {len(PROPERTIES)} properties of {name} were"
                 " checked; record a complete run",
                 red=True,
@@ -98,6 +98,6 @@ class MetricsSession(SuiteSession):
         try:
             count, path = record(name, (cell.result for cell in cells.values()))
         except ContractError as error:
-            terminalreporter.write_line(f"NOT RECORDED: {error}", red=True)
+            terminal.write_line(f"NOT RECORDED: {error}", red=True)
             return
-        terminalreporter.write_line(f"recorded {count} violations of {name} in {path}")
+        terminal.write_line(f"recorded {count} violations of {name} in {path}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,8 @@ from pytest_cpas.protocols import (
     shipped_protocol,
     shipped_protocols,
 )
+from pytest_cpas.reading.structured import read_toml
+from pytest_cpas.types import DataError
 
 __all__ = ["known_protocols", "resolve_protocols"]
 
@@ -80,9 +81,9 @@ def _declared(root: Path) -> Mapping[str, Mapping[str, Any]]:
     if not path.is_file():
         return {}
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ProtocolError(f"{path}: cannot be read as TOML ({error})") from error
+        content = read_toml(path)
+    except DataError as error:
+        raise ProtocolError(str(error)) from error
     declared = content.get("tool", {}).get("pytest-cpas", {}).get("protocols", {})
     if not isinstance(declared, dict) or not all(isinstance(v, dict) for v in declared.values()):
         raise ProtocolError(f"{path}: [tool.pytest-cpas.protocols] must hold tables")

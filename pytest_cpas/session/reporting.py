@@ -6,13 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import pytest
-
 from pytest_cpas.documents import RunDocument
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.files import write_report
-from pytest_cpas.report.terminal import print_robustness, print_run
+from pytest_cpas.report.terminal import Terminal, print_robustness, print_run
 from pytest_cpas.report.up_axes import up_axes
 from pytest_cpas.session.collected import CollectedRun
 from pytest_cpas.session.judging import JudgedRun
@@ -77,7 +75,7 @@ class Reporter:
 
     def print(
         self,
-        terminal: pytest.TerminalReporter,
+        terminal: Terminal,
         collected: Sequence[CollectedRun],
         documents: Sequence[RunDocument],
     ) -> None:

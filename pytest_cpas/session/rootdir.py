@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_cpas.reading.text import terminal_lines
+
 
 def check_rootdir(config: pytest.Config, add_options: Callable[[pytest.Parser], None]) -> None:
     """Raise :class:`pytest.UsageError`, which says what to type, if a value of one of our options
@@ -42,13 +44,14 @@ def check_rootdir(config: pytest.Config, add_options: Callable[[pytest.Parser], 
     if root is None and not taken:
         return
     forms = " ".join(shlex.quote(f"{option}={value}") for option, value in taken)
-    raise pytest.UsageError(
+    told = (
         f"pytest took {' and '.join(value for _, value in taken) or 'the value of an option'} for"
         f" a test path, so its root directory is {config.rootpath} and its configuration file"
         f" {config.inipath or 'none'}"
         + (f"; it would be {root} with {ini or 'none'}" if root else "")
         + f". Write the option with the equals sign: {forms or '--cpas-data=DIR'}"
     )
+    raise pytest.UsageError(terminal_lines(told))
 
 
 def _setup(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
@@ -12,6 +13,7 @@ from typing import Any, NoReturn
 
 import pytest
 
+from pytest_cpas.reading.text import encodable, everywhere, terminal_line, terminal_lines
 from pytest_cpas.session.options import Granularity
 from pytest_cpas.types import ItemOutcome, SampleRef
 
@@ -83,10 +85,25 @@ class SuiteSession(ABC):
         if report.when == "call" and KNOWN in item.stash:
             report.outcome = "skipped"
             report.wasxfail = item.stash[KNOWN]
-        if report.when == "call" and item.path == self._suite:
-            content = self.item_content(item)
+        if item.path != self._suite:
+            return report
+        if report.when == "call":
+            content = everywhere(encodable, self.item_content(item))
             report.cpas_content = (self.node, content)  # type: ignore[attr-defined]
-        return report
+        return shown_report(report)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_warning_recorded(
+        self, warning_message: warnings.WarningMessage, nodeid: str
+    ) -> None:
+        """What a method warns of is text from outside; its category is not needed any more."""
+        if nodeid.partition("::")[0] == self.node:
+            warning_message.message = terminal_lines(str(warning_message.message))
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_internalerror(self, excrepr: object) -> None:
+        """So is what an error says that nobody caught."""
+        _shown(excrepr)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """On the controller: collect."""
@@ -100,10 +117,40 @@ class SuiteSession(ABC):
 @contextmanager
 def usage_errors(*kinds: type[Exception]) -> Iterator[None]:
     """Turn errors of these ``kinds`` into pytest's error about its command line."""
+    told: tuple[type[Exception], ...] = (*kinds, pytest.UsageError)
     try:
         yield
-    except kinds as error:
-        raise pytest.UsageError(str(error)) from error
+    except told as error:
+        raise pytest.UsageError(terminal_lines(str(error))) from error
+
+
+def end_run(error: Exception) -> NoReturn:
+    """End pytest, for a reason that is no fault of it."""
+    pytest.exit(terminal_lines(str(error)))
+
+
+def shown_report(report: pytest.TestReport) -> pytest.TestReport:
+    """A report on something of ours as terminal, JUnit and other reporters may show it.
+
+    Exceptions, reasons and what was printed come from methods and files.
+    """
+    report.longrepr = _shown(report.longrepr)
+    report.sections = _shown(report.sections)
+    if hasattr(report, "wasxfail"):
+        report.wasxfail = terminal_lines(report.wasxfail)
+    return report
+
+
+def _shown(value: Any) -> Any:
+    """A representation of pytest's with every text in it escaped; trees of them are changed."""
+    if isinstance(value, str):
+        return terminal_lines(value)
+    if isinstance(value, list | tuple):
+        return type(value)(map(_shown, value))
+    if hasattr(value, "toterminal"):
+        for name, part in vars(value).items():
+            setattr(value, name, _shown(part))
+    return value
 
 
 def grouped(
@@ -111,10 +158,10 @@ def grouped(
 ) -> Iterable[tuple[str, list[SampleRef]]]:
     """Samples as (name, samples), one group per test item."""
     if granularity == "sample":
-        return [(f"{ref.category}-{ref.id}", [ref]) for ref in samples]
+        return [(terminal_line(f"{ref.category}-{ref.id}"), [ref]) for ref in samples]
     groups: dict[str, list[SampleRef]] = defaultdict(list)
     for ref in samples:
-        groups[ref.scene if granularity == "scene" else "all"].append(ref)
+        groups[terminal_line(ref.scene) if granularity == "scene" else "all"].append(ref)
     return groups.items()
 
 
@@ -131,6 +178,7 @@ def report_outcome(
     Terminal, JUnit and exit code then agree. ``message``: why it did not pass. ``known``: what was
     skipped is an expected failure (pytest's xfailed).
     """
+    nodeid = terminal_line(nodeid)
     longrepr: Any = None
     if outcome == "failed":
         longrepr = pytest.ExceptionInfo.from_exception(
@@ -154,7 +202,7 @@ def report_outcome(
         )
         if called and known:
             report.wasxfail = message
-        hook.pytest_runtest_logreport(report=report)
+        hook.pytest_runtest_logreport(report=shown_report(report))
     hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)
 
 

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import re
 import statistics
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pytest_cpas._files import toml_string, write_file
 from pytest_cpas.documents import MachineDocument
 from pytest_cpas.golden import differences
+from pytest_cpas.reading.files import NoFileError, read_text
+from pytest_cpas.reading.structured import LARGEST_TOML, parse_toml
 from pytest_cpas.timing.intervals import (
     RECORD_CONFIDENCE,
     RECORD_LOOK_CONFIDENCE,
@@ -95,7 +95,7 @@ class SpeedRecord:
     @classmethod
     def parse(cls, text: str) -> SpeedRecord:
         """The inverse of :meth:`toml`; raises ValueError, TypeError or KeyError."""
-        content: dict[str, Any] = tomllib.loads(text)
+        content = parse_toml("the record", text)
         if content.get("format") != FORMAT:
             raise ValueError(f"format is {content.get('format')!r}, this version reads {FORMAT}")
         spread = {name: float(value) for name, value in content["spread"].items()}
@@ -155,10 +155,10 @@ def record_path(golden: Path, method: str, dataset: str, machine: MachineDocumen
 def read_record(path: Path) -> SpeedRecord | None:
     """What is recorded, if anything; :class:`RecordError` for a file that is damaged."""
     try:
-        return SpeedRecord.parse(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        return SpeedRecord.parse(read_text(path, LARGEST_TOML))
+    except NoFileError:
         return None
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise RecordError(
             f"{path}: {error!r}; it was damaged or edited by hand. Restore it from version control,"
             " or record it anew with --cpas-benchmark --snapshot-update"

@@ -1,6 +1,10 @@
-"""Arrays on entry: copied, checked, read-only."""
+"""Numbers and arrays on entry: copied, checked, read-only."""
 
 from __future__ import annotations
+
+import math
+import operator
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,32 +13,118 @@ from pytest_cpas.types.errors import ContractError
 
 Array = NDArray[np.float64]
 
+#: Largest magnitude of a coordinate or a length, metres, and smallest side of a box: products of
+#: eight of them are numbers still. What is beyond is a slip of a unit, or of a network.
+LARGEST, SMALLEST_SIDE = 1e30, 1e-30
+
+
+def finite_array(value: ArrayLike, what: str, most: float = LARGEST) -> Array:
+    """``value`` as float64, not copied if it is that, of magnitudes up to ``most``.
+
+    Raises :class:`ContractError` for NaN, for what is larger, and for what is no real number.
+    """
+    array = value if type(value) is np.ndarray else _as_array(value, what)
+    if array.dtype != np.float64:
+        array = _as_real(array, what)
+    # two passes without a copy; both propagate NaN, which is not within anything
+    if array.size and not (array.min() >= -most and array.max() <= most):
+        bad = int(np.count_nonzero(~np.isfinite(array)))
+        if bad:
+            raise ContractError(f"{what}: {bad} of {array.size} values are NaN or infinite")
+        raise ContractError(
+            f"{what}: values from {array.min():.3g} to {array.max():.3g}, expected magnitudes of"
+            f" at most {most:g}"
+        )
+    return array
+
 
 def frozen_array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> Array:
-    """Return a read-only float64 copy of ``value`` with the given shape (None: any length)."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ContractError(f"{what}: not an array of numbers ({error})") from None
-    if array.shape != shape and (
-        array.ndim != len(shape)
-        or any(want not in (None, have) for have, want in zip(array.shape, shape, strict=True))
+    """Return a read-only float64 copy of ``value`` with the given shape (None: any length).
+
+    Raises :class:`ContractError` as :func:`finite_array`, and for another shape.
+    """
+    given = value if type(value) is np.ndarray else _as_array(value, what)
+    if given.dtype != np.float64:
+        given = _as_real(given, what)
+    if given.shape != shape and (
+        given.ndim != len(shape)
+        or any(want not in (None, have) for have, want in zip(given.shape, shape, strict=True))
     ):
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ")"
-        raise ContractError(f"{what}: shape is {array.shape}, expected {wanted}")
-    if not np.isfinite(array).all():
-        bad = int(np.count_nonzero(~np.isfinite(array)))
-        raise ContractError(f"{what}: {bad} of {array.size} values are NaN or infinite")
+        raise ContractError(f"{what}: shape is {given.shape}, expected {wanted}")
+    array = np.array(finite_array(given, what))
     array.setflags(write=False)
     return array
+
+
+def _as_array(value: ArrayLike, what: str) -> NDArray[Any]:
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ContractError(f"{what}: not an array of numbers ({error})") from None
+
+
+def _as_real(array: NDArray[Any], what: str) -> Array:
+    """Texts would be taken for the numbers that they spell, and half of a complex number lost."""
+    kinds = {type(each).__name__ for each in array.flat} if array.dtype == object else set()
+    if array.dtype.kind not in "biufO" or kinds & {"str", "bytes", "complex"}:
+        seen = ", ".join(sorted(kinds)) or array.dtype
+        raise ContractError(f"{what}: not an array of numbers (of {seen})")
+    try:
+        with np.errstate(over="ignore"):  # it becomes infinite, which is refused
+            return np.asarray(array.astype(np.float64))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ContractError(f"{what}: not an array of numbers ({error})") from None
 
 
 def checked_extents(value: ArrayLike) -> Array:
     """Three positive side lengths, metres, as of :func:`frozen_array`."""
     extents = frozen_array(value, (3,), "extents (metres)")
-    if np.any(extents <= 0):
+    if extents.min() < SMALLEST_SIDE:
         raise ContractError(
             f"extents: {extents.tolist()}, expected three positive side lengths in metres (a"
             " negative one often comes from a mirrored axis or an unclamped network output)"
         )
     return extents
+
+
+def checked_number(
+    value: object, what: str, least: float = -LARGEST, most: float = LARGEST
+) -> float:
+    """``value`` as float; :class:`ContractError` unless it is a number from ``least`` to ``most``.
+
+    A NumPy scalar, an array or a tensor of one element and no dimension counts as a number.
+    """
+    try:
+        if isinstance(value, bool | str | bytes) or getattr(value, "shape", ()) != ():
+            raise TypeError
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not least <= number <= most:
+        seen = repr(value)[:80] if isinstance(value, int | float | str) else type(value).__name__
+        raise ContractError(f"{what}: {seen}, expected {_range(least, most)}")
+    return number
+
+
+def checked_integer(value: object, what: str, least: int, most: int = 2**62) -> int:
+    """``value`` as int; :class:`ContractError` unless it is one from ``least`` to ``most``."""
+    try:
+        if isinstance(value, bool | np.bool_):
+            raise TypeError
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = least - 1
+    if not least <= number <= most:
+        limit = f"at least {least}" if most == 2**62 else f"from {least} to {most}"
+        seen = repr(value)[:80] if isinstance(value, int | float | str) else type(value).__name__
+        raise ContractError(f"{what}: {seen}, expected an integer, {limit}")
+    return number
+
+
+def _range(least: float, most: float) -> str:
+    if most == math.inf:
+        return f"a number, at least {least:g}"
+    if (least, most) == (-LARGEST, LARGEST):
+        return f"a finite number of magnitude {LARGEST:g} at most"
+    return f"a finite number from {least:g} to {most:g}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pytest_cpas.types._arrays import Array, checked_extents, frozen_array
+from pytest_cpas.types._arrays import Array, checked_extents, checked_number, frozen_array
 from pytest_cpas.types.errors import AnswerError, raised_as
 from pytest_cpas.types.geometry import Mesh, Pose
 
@@ -44,8 +44,10 @@ class Hypothesis:
             object.__setattr__(self, "points", points)
         if self.mesh is not None and not isinstance(self.mesh, Mesh):
             raise AnswerError(f"mesh: a {type(self.mesh).__name__}, expected pytest_cpas Mesh")
-        if self.score is not None and not np.isfinite(self.score):
-            raise AnswerError(f"score: {self.score}, expected a finite number or None")
+        if self.score is not None:
+            limit = float(np.finfo(float).max)
+            score = checked_number(self.score, "score (None where there is none)", -limit, limit)
+            object.__setattr__(self, "score", score)
 
     @property
     def pose(self) -> Pose:
@@ -70,18 +72,29 @@ class Prediction:
     reason: str | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hypotheses", tuple(self.hypotheses))
+        try:
+            object.__setattr__(self, "hypotheses", tuple(self.hypotheses))
+        except TypeError:
+            seen = type(self.hypotheses).__name__
+            raise AnswerError(f"prediction: a {seen}, expected a list of Hypothesis") from None
         for hypothesis in self.hypotheses:
             if not isinstance(hypothesis, Hypothesis):
                 raise AnswerError(
                     f"prediction: holds a {type(hypothesis).__name__}, expected Hypothesis"
                 )
+        if self.reason is not None and not isinstance(self.reason, str):
+            raise AnswerError(
+                f"prediction: reason is a {type(self.reason).__name__}, expected text"
+            )
         if not self.hypotheses and not self.reason:
             raise AnswerError(
                 "prediction: no hypothesis and no reason; say why with Prediction.failed('...')"
             )
 
     @classmethod
-    def failed(cls, reason: str) -> Prediction:
-        """No answer, and why."""
+    def failed(cls, reason: str | BaseException) -> Prediction:
+        """No answer, and why: in words, or the exception that was raised."""
+        if isinstance(reason, BaseException):
+            words = str(reason)
+            reason = f"{type(reason).__name__}: {words}" if words else type(reason).__name__
         return cls((), reason=reason)

@@ -7,13 +7,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pytest_cpas.types._arrays import Array, frozen_array
+from pytest_cpas.types._arrays import Array, checked_integer, checked_number, frozen_array
 from pytest_cpas.types.errors import ContractError
 
 __all__ = ["Camera", "Mesh", "Pose", "Symmetry"]
 
 
 _IDENTITY = np.eye(3)
+
+#: Largest side of an image, and coordinate or focal length, pixels.
+_LARGEST_IMAGE, _LARGEST_PIXEL = 2**20, 1e9
 
 #: Largest entry of ``R @ R.T - I`` that still counts as a rotation (float32 networks reach 1e-6).
 ORTHONORMAL_TOLERANCE = 1e-4
@@ -35,14 +38,27 @@ class Camera:
     cy: float
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ContractError(f"camera: image size is {self.width} x {self.height}")
-        values = (self.fx, self.fy, self.cx, self.cy)
-        if not np.all(np.isfinite(values)) or self.fx <= 0 or self.fy <= 0:
+        for name in ("width", "height"):
+            size = f"camera: image size is {self.width!s:.40} x {self.height!s:.40}, {name}"
+            side = checked_integer(getattr(self, name), size, 1, _LARGEST_IMAGE)
+            object.__setattr__(self, name, side)
+        seen = f"camera: fx, fy, cx, cy are {(self.fx, self.fy, self.cx, self.cy)!s:.200}"
+        try:
+            focal = [
+                checked_number(f, "fx, fy", 1 / _LARGEST_PIXEL, _LARGEST_PIXEL)
+                for f in (self.fx, self.fy)
+            ]
+            centre = [
+                checked_number(c, "cx, cy", -_LARGEST_PIXEL, _LARGEST_PIXEL)
+                for c in (self.cx, self.cy)
+            ]
+        except ContractError:
             raise ContractError(
-                f"camera: fx, fy, cx, cy are {values}; expected finite numbers in pixels, fx and"
-                " fy positive (intrinsics of an OpenGL camera have a negative fy: change its sign)"
-            )
+                f"{seen}; expected finite numbers in pixels, fx and fy positive (intrinsics of an"
+                " OpenGL camera have a negative fy: change its sign)"
+            ) from None
+        for name, value in zip(("fx", "fy", "cx", "cy"), (*focal, *centre), strict=True):
+            object.__setattr__(self, name, value)
 
     @property
     def matrix(self) -> Array:
@@ -154,7 +170,10 @@ class Mesh:
 
     def __post_init__(self) -> None:
         vertices = frozen_array(self.vertices, (None, 3), "mesh vertices")
-        triangles = np.array(self.triangles)
+        try:
+            triangles = np.array(self.triangles)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ContractError(f"mesh triangles: no vertex indices ({error})") from None
         if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
             raise ContractError(
                 f"mesh triangles: shape {triangles.shape} of {triangles.dtype}, expected (F, 3)"
@@ -177,6 +196,19 @@ class Mesh:
         """The axis-aligned box as (2, 3): lowest and highest corner, metres."""
         used = self.vertices[np.unique(self.triangles)]
         return np.stack([used.min(axis=0), used.max(axis=0)])
+
+
+def _direction(axis: ArrayLike) -> Array:
+    """A unit vector along a symmetry axis (3,)."""
+    vector = frozen_array(axis, (3,), "symmetry axis")
+    length = float(np.linalg.norm(vector))
+    if length < 1e-9:
+        raise ContractError(f"symmetry: the axis has length {length:.3g}")
+    return np.asarray(vector / length)
+
+
+#: More turns than that are a continuous axis.
+_LARGEST_FOLD = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,11 +238,7 @@ class Symmetry:
         object.__setattr__(self, "rotations", rotations)
         if self.axis is None:
             return
-        axis = frozen_array(self.axis, (3,), "symmetry axis")
-        length = float(np.linalg.norm(axis))
-        if length < 1e-9:
-            raise ContractError("symmetry: the axis has length 0")
-        axis = axis / length
+        axis = _direction(self.axis)
         if np.any(np.abs(np.abs(rotations @ axis @ axis) - 1) > 1e-6):
             raise ContractError(
                 "symmetry: a rotation turns the continuous axis away from itself; together they"
@@ -227,7 +255,7 @@ class Symmetry:
     @classmethod
     def about(cls, axis: ArrayLike, *, flip: bool = False) -> Symmetry:
         """Any angle about ``axis`` (3,); with ``flip`` also upside down."""
-        direction = frozen_array(axis, (3,), "symmetry axis")
+        direction = _direction(axis)
         if not flip:
             return cls(axis=direction)
         other = np.eye(3)[np.argmin(np.abs(direction))]
@@ -239,9 +267,8 @@ class Symmetry:
     @classmethod
     def n_fold(cls, axis: ArrayLike, n: int) -> Symmetry:
         """Rotations by multiples of 360/``n`` degrees about ``axis`` (3,)."""
-        if n < 1:
-            raise ContractError(f"symmetry: n-fold with n = {n}, expected n >= 1")
-        x, y, z = frozen_array(axis, (3,), "symmetry axis") / np.linalg.norm(axis)
+        checked_integer(n, "symmetry: n of n-fold", 1, _LARGEST_FOLD)
+        x, y, z = _direction(axis)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         angles = 2 * np.pi * np.arange(n) / n
         return cls(

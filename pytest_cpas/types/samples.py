@@ -93,13 +93,16 @@ class GroundTruth:
 
     ``extents`` (3,) side lengths of the object-frame bounding box, metres. ``surface``: a
     :class:`Mesh` or points (N, 3) in the object frame, metres; None where a data set has no
-    shapes (shape metrics are then n/a).
+    shapes (shape metrics are then n/a). ``symmetry``: of the object; ``symmetry_in_view``: of what
+    can be seen of it, such as a mug whose handle is hidden; None where it is the same. The NOCS
+    protocol judges by the latter.
     """
 
     pose: Pose
     extents: Array
     symmetry: Symmetry
     surface: Mesh | Array | None = None
+    symmetry_in_view: Symmetry | None = None
 
     @raised_as(DataError)
     def __post_init__(self) -> None:

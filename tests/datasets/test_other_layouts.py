@@ -314,7 +314,7 @@ PBTXT = "data/bottle_0/texture_5_pose_0/000000_L.pbtxt"
         (1, GT, edit(lambda gt: gt["0"][1].pop("cam_t_m2c")), "cam_t_m2c", 2),
         (1, GT, edit(lambda gt: gt["0"][1].update(class_id=99)), "'99'", 2),
         (1, GT, edit(lambda gt: gt.update({"0": 5})), "not iterable", 2),
-        (1, "sequence_3/train_test_split.npz", content(b"PK\x03\x04"), "not an .npz", 0),
+        (1, "sequence_3/train_test_split.npz", content(b"PK\x03\x04"), "not a readable .npz", 0),
         (1, "sequence_3/scene_camera.json", edit(lambda c: c.pop("rgb")), "5 finite numbers", 0),
         (1, "sequence_3/mask/000002.png", content(b"\x89PNG"), "not a readable image", 2),
         (2, PKL, content(pickle.dumps({"annotations": 3})), "annotations is not a list", 2),

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import zipfile
 
 import pytest
 
@@ -23,6 +24,7 @@ FILES = {
             pass
 
         PRIORS = "priors.npz"
+        TABLE = "tables/of/shapes.npz"
 
         class Method:
             def load(self, assets, device):
@@ -42,6 +44,8 @@ FILES = {
     "own_package/sub/layers.py": "from ...own_package.sub.ops import op\n",
     "own_package/sub/ops.py": "op = 1\n",
     "priors.npz": "numbers",
+    "tables/of/shapes.npz": "numbers",
+    "tables/of/others.npz": "numbers",
     "unrelated.py": "y = 1\n",
     "own_package/unrelated.py": "z = 1\n",
     "results.csv": "1,2\n",
@@ -61,6 +65,7 @@ REACHED = [
     "own_package/sub/layers.py",
     "own_package/sub/ops.py",
     "priors.npz",
+    "tables/of/shapes.npz",
 ]
 
 
@@ -133,6 +138,25 @@ def test_extension_modules_count(project):
     one = code(project)
     (project / f"own_ops{suffix}").write_bytes(b"\x7fELF two")
     assert len({without, one, code(project)}) == 3
+
+
+def test_modules_in_an_archive_count(project, monkeypatch):
+    archive = project / "own_archive.zip"
+    monkeypatch.syspath_prepend(archive)
+    with (project / "own_helpers.py").open("a") as file:
+        file.write("import own_zipped\n")
+
+    def with_content(text):
+        with zipfile.ZipFile(archive, "w") as file:
+            file.writestr(zipfile.ZipInfo("own_zipped.py"), text)
+        sys.path_importer_cache.pop(str(archive), None)
+        return code(project)
+
+    without = code(project)
+    codes = [with_content(text) for text in ("answer = 1\n", "answer = 2\n", "answer = 1\n")]
+    assert without not in codes
+    assert codes[0] != codes[1]
+    assert codes[0] == codes[2]
 
 
 def test_bases_count(project):

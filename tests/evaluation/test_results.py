@@ -200,7 +200,7 @@ def test_every_damage_is_noticed(recorded, pytester):
     ):
         path.write_bytes(content)
         assert words in usage_error(pytester, f"--cpas-merge={path}")
-    assert "cannot be read" in usage_error(pytester, "--cpas-merge=nowhere.jsonl")
+    assert "nowhere.jsonl: no such file" in usage_error(pytester, "--cpas-merge=nowhere.jsonl")
 
 
 def test_folder_that_cannot_be_written(recorded, pytester):
@@ -341,6 +341,46 @@ def test_rows_of_a_program_that_was_broken_since_are_not_believed(mine, pytester
         "mine-tiny.1.old",
         "mine-tiny.2.old",
     }
+
+
+DATA = """
+import tiny
+
+class Data(tiny.Tiny):
+    name = "data"
+"""
+
+#: Every image is that of the first sample.
+CONFUSED = (
+    DATA
+    + """
+    def load(self, ref):
+        sample, first = super().load(ref), super().load(self.samples[0])
+        seen = tiny.replace(first.observation, category=ref.category)
+        return tiny.replace(sample, observation=seen)
+"""
+)
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_rows_of_data_that_was_read_otherwise_are_not_believed(cpas, pytester, how):
+    def run(data: str, *args: str) -> pytest.RunResult:
+        pytester.makepyfile(lab_data=data)
+        names = ("--cpas-method=tiny:Perfect", "--cpas-dataset=lab_data:Data")
+        return pytester.runpytest_subprocess(*RUN, *names, "-k", "test_sample", *args)
+
+    cpas("Perfect", "--collect-only")  # has tiny copied
+    keep = ("--cpas-results=out", *how)
+    run(DATA, *keep).stdout.fnmatch_lines(["rows: computed 12"])
+    run(DATA, *keep).stdout.fnmatch_lines(["rows: reused 12 from *"])
+    broken = run(CONFUSED, *keep)
+    broken.stdout.fnmatch_lines(
+        ["rows: computed 12, not reused 12 of another program (data_code was *, now *)"]
+    )
+    paths = sorted((pytester.path / "out").iterdir())
+    kept = [read_results(path) for path in paths]
+    assert [len(results.rows) for results in kept] == [12, 12]
+    assert [*kept[0].rows.values()] != [*kept[1].rows.values()]
 
 
 def test_rows_are_reused_on_purpose_only(mine):

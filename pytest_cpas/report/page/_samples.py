@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 
 from pytest_cpas.documents import Document, FlipDocument
+from pytest_cpas.reading.text import everywhere, html
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.messages import run_title
 from pytest_cpas.report.page._parts import table
@@ -78,6 +79,7 @@ def sample_data(document: Document) -> str:
         ]
         runs.append({"name": run_title(run), "categories": categories, "samples": samples})
     data = {"thresholds": columns, "runs": runs, "against": bool(pairs)}
+    data = everywhere(html, data)
     return json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
 
 

@@ -3,5 +3,6 @@
 from pytest_cpas.report.terminal._robustness import print_robustness
 from pytest_cpas.report.terminal._run import print_run, shows_samples
 from pytest_cpas.report.terminal._survey import print_survey
+from pytest_cpas.report.terminal._table import Terminal
 
-__all__ = ["print_robustness", "print_run", "print_survey", "shows_samples"]
+__all__ = ["Terminal", "print_robustness", "print_run", "print_survey", "shows_samples"]

@@ -11,6 +11,7 @@ from pytest_cpas.documents import (
     CountDocument,
     RunDocument,
     SampleDocument,
+    ScoreDocument,
     SpeedDocument,
     VerdictDocument,
 )
@@ -21,7 +22,7 @@ from pytest_cpas.report.messages import (
     speed_lines,
     verdict_message,
 )
-from pytest_cpas.report.terminal._table import FEW, print_table
+from pytest_cpas.report.terminal._table import FEW, Terminal
 
 #: Characters of a line that is read at a glance.
 _WIDTH = 100
@@ -35,15 +36,15 @@ def shows_samples(config: pytest.Config, judged: int) -> bool:
     return judged <= FEW or config.get_verbosity() > 0
 
 
-def print_run(terminal: pytest.TerminalReporter, run: RunDocument, origin: str) -> None:
+def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
     """Print what was missing, the contract, the samples of a small run, the precision table, the
     ``origin`` of the rows in words, the verdict, and what explains it."""
-    terminal.section(f"{run['method']} on {run['dataset']}", bold=True)
+    terminal.section(f"{run['method']} on {run['dataset']}")
     for line in run["missing"]:
         terminal.write_line(f"missing: {line}")
     _print_contract(terminal, run["contract"])
     if run["judged"] and shows_samples(terminal.config, run["judged"]):
-        print_table(terminal, _sample_lines(run["samples"]))
+        terminal.write_table(_sample_lines(run["samples"]))
     if run["judged"]:
         _print_tables(terminal, run)
     terminal.write_line(judged_message(run))
@@ -72,7 +73,7 @@ def print_run(terminal: pytest.TerminalReporter, run: RunDocument, origin: str) 
         _print_speed(terminal, run["speed"])
 
 
-def _print_speed(terminal: pytest.TerminalReporter, speed: SpeedDocument) -> None:
+def _print_speed(terminal: Terminal, speed: SpeedDocument) -> None:
     verdict, *facts = speed_lines(speed)
     outcome = speed["verdict"]["outcome"]
     terminal.write_line(f"speed: {verdict}", red=outcome == "failed", green=outcome == "passed")
@@ -80,24 +81,24 @@ def _print_speed(terminal: pytest.TerminalReporter, speed: SpeedDocument) -> Non
         terminal.write_line(f"  {line}")
 
 
-def _print_contract(terminal: pytest.TerminalReporter, results: Sequence[ContractDocument]) -> None:
+def _print_contract(terminal: Terminal, results: Sequence[ContractDocument]) -> None:
     if message := contract_message(results):
         wrong = any(result["status"] in ("violated", "gone") for result in results)
         terminal.write_line(message, red=wrong)
 
 
-def _print_tables(terminal: pytest.TerminalReporter, run: RunDocument) -> None:
+def _print_tables(terminal: Terminal, run: RunDocument) -> None:
     """Counts as they are read, what is guarded in one line a category, and scores."""
     counts = [(e["threshold"], e["category"], _cell(e["measured"])) for e in run["precision"]]
     guards = [(e["threshold"], e["category"], _share(e["measured"])) for e in run["guards"]]
-    scores = [(e["score"], e["category"], _score(e["measured"])) for e in run["scores"]]
+    scores = [(e["score"], e["category"], _score(e)) for e in run["scores"]]
     for first, cells in (("correct", counts), ("guards", guards), ("scores", scores)):
         known = {label for label, _, cell in cells if cell != "n/a"}
         # of the columns that are read, what is n/a is told; of the others, only what there is
         shown = [cell for cell in cells if first == "correct" or cell[0] in known]
         for protocol, own in _by_protocol(shown).items():
             for lines in _tables(f"{protocol} {first}".strip(), own):
-                print_table(terminal, lines)
+                terminal.write_table(lines)
 
 
 #: A column's label, a category and what stands there.
@@ -142,8 +143,11 @@ def _share(count: CountDocument | None) -> str:
     return "n/a" if count is None else f"{100 * count['correct'] / count['total']:.1f} %"
 
 
-def _score(value: float | None) -> str:
-    return "n/a" if value is None else f"{value:.4g}"
+def _score(entry: ScoreDocument) -> str:
+    value = entry["measured"]
+    if value is None:
+        return "n/a"
+    return f"{100 * value:.1f} %" if entry["share"] else f"{value:.4g}"
 
 
 def _sample_lines(samples: Sequence[SampleDocument]) -> list[list[str]]:

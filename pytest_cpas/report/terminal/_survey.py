@@ -6,21 +6,20 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
-import pytest
 
 from pytest_cpas.checks.dataset.facts import Survey
 from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
 from pytest_cpas.checks.dataset.verdicts import DatasetWord
-from pytest_cpas.report.terminal._table import FEW, print_table
+from pytest_cpas.report.terminal._table import FEW, Terminal
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.samples import ALL
 
 
 def print_survey(
-    terminal: pytest.TerminalReporter, survey: Survey, selected: int, verdicts: Sequence[Verdict]
+    terminal: Terminal, survey: Survey, selected: int, verdicts: Sequence[Verdict]
 ) -> None:
     """Print a line per check, residuals per category, how the up axes are spread, and counts."""
-    terminal.section(f"data set {survey.name}", bold=True)
+    terminal.section(f"data set {survey.name}")
     for line in survey.missing:
         terminal.write_line(f"missing: {line}")
     for verdict in verdicts:
@@ -35,8 +34,8 @@ def print_survey(
     terminal.write_line("")
     if survey.samples:
         if len(survey.samples) <= FEW or terminal.config.get_verbosity() > 0:
-            print_table(terminal, _sample_lines(survey))
-        print_table(terminal, _category_lines(survey))
+            terminal.write_table(_sample_lines(survey))
+        terminal.write_table(_category_lines(survey))
         spread = up_axis_spread(survey.up_axes)
         terminal.write_line(
             f"up axes: mean resultant length {spread.resultant:.3f}; within {REACH:.0f} deg of"

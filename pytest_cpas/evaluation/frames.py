@@ -1,0 +1,178 @@
+"""The frames of stored predictions: what is read, checked, and which detection is whose.
+
+Arrays have the field's keys; boxes are y1, x1, y2, x2 in pixels, poses 4 x 4.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.reading.arrays import Wanted, read_npz
+from pytest_cpas.reading.files import regular
+from pytest_cpas.reading.pickles import load_numpy_pickle
+from pytest_cpas.types import CATEGORIES, DataError
+
+__all__ = ["REQUIRED", "Frame", "assign_detections", "read_frames"]
+
+#: A detection belongs to a ground truth if their 2-D boxes overlap at least this much.
+DETECTION_IOU = 0.5
+
+#: The arrays that a frame must have, and the shape of a row of each.
+REQUIRED: dict[str, tuple[int, ...]] = {
+    "gt_class_ids": (),
+    "gt_bboxes": (4,),
+    "gt_RTs": (4, 4),
+    "gt_scales": (3,),
+    "pred_class_ids": (),
+    "pred_bboxes": (4,),
+    "pred_RTs": (4, 4),
+    "pred_scales": (3,),
+}
+
+#: Those that it may have: how sure a detection is, and whether a mug's handle can be seen.
+_OPTIONAL: dict[str, tuple[int, ...]] = {"pred_scores": (), "gt_handle_visibility": ()}
+
+_SHAPES = REQUIRED | _OPTIONAL
+
+#: What the arrays of an ``.npz`` are; rows are checked frame by frame.
+_ARRAYS = {
+    "frame": Wanted("U", (None,)),
+    "gt_offset": Wanted("iu", (None,)),
+    "pred_offset": Wanted("iu", (None,)),
+    **{key: Wanted("iuf") for key in REQUIRED},
+    **{key: Wanted("biuf", optional=True) for key in _OPTIONAL},
+}
+
+#: Coordinates of a 2-D box, pixels, are no larger.
+_LARGEST_PIXEL = 1e9
+
+Frame = Mapping[str, NDArray[Any]]
+
+
+def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
+    """Yield (name, arrays) per frame, e.g. ``scene_1_0000``.
+
+    Raises :class:`DataError` naming the file that is damaged, or that is neither form.
+    """
+    if path.is_dir():
+        files = sorted(path.glob("*.pkl"))
+        if not files:
+            raise DataError(f"{path}: no .pkl files in this folder")
+        for file in files:
+            yield from read_frames(file)
+    elif path.suffix == ".npz":
+        yield from _read_npz(path)
+    elif path.suffix == ".pkl":
+        match = re.search(r"(scene_\d+_\d+)$|_([^_]+_[^_]+)$", path.stem)
+        name = match.group(0).lstrip("_") if match else path.stem
+        yield name, _checked(load_numpy_pickle(regular(path)), f"{path}")
+    else:
+        raise DataError(f"{path}: expected a .pkl, a folder of them, or an .npz")
+
+
+def _read_npz(path: Path) -> Iterator[tuple[str, Frame]]:
+    arrays = read_npz(path, _ARRAYS)
+    names: list[str] = arrays["frame"].tolist()
+    offsets = {}
+    for side in ("gt", "pred"):
+        counts, offset = arrays[f"{side}_class_ids"], arrays[f"{side}_offset"].tolist()
+        count = len(counts) if counts.ndim else 0
+        if len(offset) != len(names) + 1 or (offset[0], offset[-1]) != (0, count):
+            seen = f"{len(offset)} entries" + (f" up to {offset[-1]}" if offset else "")
+            raise DataError(
+                f"{path}: {side}_offset has {seen}, expected {len(names) + 1} from 0 to {count}"
+            )
+        for index, (low, high) in enumerate(pairwise(offset)):
+            if low > high:
+                raise DataError(
+                    f"{path}: {side}_offset goes down from {low} to {high} at frame"
+                    f" {names[index]!r}, so that rows would be counted twice"
+                )
+        offsets[side] = offset
+    present = [key for key in _SHAPES if key in arrays]
+    for key in present:
+        count = offsets[key.split("_")[0]][-1]
+        if len(arrays[key]) != count:
+            raise DataError(f"{path}: {key} has {len(arrays[key])} rows, expected {count}")
+    for index, name in enumerate(names):
+        rows = {side: slice(*offset[index : index + 2]) for side, offset in offsets.items()}
+        frame = {key: arrays[key][rows[key.split("_")[0]]] for key in present}
+        yield name, _checked(frame, f"{path}, frame {name}")
+
+
+def _checked(frame: Mapping[str, Any], where: str) -> Frame:
+    checked: dict[str, NDArray[Any]] = {}
+    for key, shape in _SHAPES.items():
+        side = key.split("_")[0]
+        array = frame.get(key)
+        if array is None and key in _OPTIONAL:
+            continue
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+            raise DataError(f"{where}: {key} is missing or not an array of numbers")
+        if array.ndim and len(array) == 0:
+            array = array.reshape(0, *shape)  # an empty list is stored as shape (0,)
+        count = len(checked.get(f"{side}_class_ids", array)) if array.ndim else 0
+        if array.shape != (count, *shape):
+            raise DataError(f"{where}: {key} has shape {array.shape}, expected {(count, *shape)}")
+        if array.dtype.kind == "f" and array.dtype.itemsize not in (4, 8):
+            with np.errstate(over="ignore"):  # what is too large is infinite, and found below
+                array = array.astype(np.float64)
+        if key.endswith("class_ids"):
+            array = _class_ids(array, f"{where}: {key}")
+        elif key.endswith("bboxes") and not (np.abs(array.astype(float)) <= _LARGEST_PIXEL).all():
+            raise DataError(
+                f"{where}: {key} holds NaN or numbers above {_LARGEST_PIXEL:g}, expected pixels"
+            )
+        elif key in _OPTIONAL and not np.isfinite(array.astype(float)).all():
+            raise DataError(f"{where}: {key} holds NaN or infinite numbers")
+        checked[key] = array
+    return checked
+
+
+def _class_ids(ids: NDArray[Any], where: str) -> NDArray[Any]:
+    """Class ids as integers, also where they are stored as real numbers."""
+    if len(ids) and not (ids.min() >= 1 and ids.max() <= len(CATEGORIES)):
+        raise DataError(
+            f"{where}: class ids run from {ids.min()} to {ids.max()}, expected 1 to"
+            f" {len(CATEGORIES)} ({', '.join(CATEGORIES)})"
+        )
+    if ids.dtype.kind != "f":
+        return ids
+    if (ids != np.floor(ids)).any():
+        raise DataError(f"{where}: class ids such as {ids[ids != np.floor(ids)][0]}, not integers")
+    return ids.astype(np.int64)
+
+
+def assign_detections(frame: Frame) -> NDArray[np.int64]:
+    """Which detection each ground truth gets, (n,), -1 for none.
+
+    Per class, one to one, by descending 2-D box IoU (boxes are y1, x1, y2, x2 in pixels), at
+    least ``DETECTION_IOU``; ties go to the first.
+    """
+    assigned = np.full(len(frame["gt_class_ids"]), -1)
+    if not len(assigned) or not len(frame["pred_class_ids"]):
+        return assigned
+    truth = frame["gt_bboxes"][:, None].astype(float)
+    found = frame["pred_bboxes"][None].astype(float)
+    overlap = np.minimum(truth[..., 2:], found[..., 2:]) - np.maximum(
+        truth[..., :2], found[..., :2]
+    )
+    common = overlap.clip(min=0).prod(axis=-1)
+    areas = [(boxes[..., 2:] - boxes[..., :2]).prod(axis=-1) for boxes in (truth, found)]
+    union = areas[0] + areas[1] - common
+    iou = np.divide(common, union, out=np.zeros_like(common), where=union > 0)
+    iou[frame["gt_class_ids"][:, None] != frame["pred_class_ids"][None]] = 0
+    for flat in np.argsort(-iou, axis=None, kind="stable"):
+        row, column = divmod(int(flat), iou.shape[1])
+        if iou[row, column] < DETECTION_IOU:
+            break
+        if assigned[row] < 0 and column not in assigned:
+            assigned[row] = column
+    return assigned

@@ -1,0 +1,184 @@
+"""What the lines of a results file may hold: each value is of the kind, and in the range, that a
+run writes, whatever the checksum says.
+
+Every function raises :class:`ValueError` that says what was seen and what was expected.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
+
+from pytest_cpas.evaluation.estimates import decode_estimates, decode_shape
+from pytest_cpas.evaluation.rows import Answer, Row
+from pytest_cpas.facts import fact
+from pytest_cpas.types import SampleRef
+
+__all__ = ["contract", "header", "ref", "row", "text", "texts"]
+
+_T = TypeVar("_T")
+
+_ROW = {field.name for field in fields(Row)} - {"sample", "category"}
+
+_ANSWER = {field.name for field in fields(Answer)}
+
+#: No two positions that are read are farther apart, metres.
+LARGEST_ERROR = 1e31
+
+#: Share of a limit by which rounding may exceed it.
+_SLACK = 1e-9
+
+
+def text(name: str, value: Any) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise ValueError(f"{name} is {_shown(value)}, expected a text")
+    return value
+
+
+def texts(name: str, value: Any) -> dict[str, str]:
+    """A mapping from text to text."""
+    return _mapping(name, value, text)
+
+
+def ref(value: Any) -> SampleRef:
+    """The sample that a line is about."""
+    if not isinstance(value, list) or len(value) != 4:
+        raise ValueError(f"ref is {_shown(value)}, expected id, category, scene and model")
+    name, category, scene, model = (text("ref", part) for part in value)
+    return SampleRef(id=name, category=category, scene=scene, model=model)
+
+
+def row(sample: SampleRef, value: Any) -> Row:
+    """The row of ``sample``."""
+    if not isinstance(value, dict) or value.keys() != _ROW:
+        raise ValueError(f"row is {_shown(value)}, expected {', '.join(sorted(_ROW))}")
+    if value["shape"] is not None:
+        _decoded("shape", value["shape"], decode_shape)
+    if not isinstance(value["answers"], list) or not value["answers"]:
+        raise ValueError(f"answers is {_shown(value['answers'])}, expected one for each seed")
+    answers = tuple(map(_answer, value["answers"]))
+    return Row(sample=sample.id, category=sample.category, answers=answers, shape=value["shape"])
+
+
+def _answer(value: Any) -> Answer:
+    if not isinstance(value, dict) or value.keys() != _ANSWER:
+        raise ValueError(f"answer is {_shown(value)}, expected {', '.join(sorted(_ANSWER))}")
+    if value["failure"] is not None:
+        text("failure", value["failure"])
+    if value["estimate"] is not None:
+        _decoded("estimate", value["estimate"], lambda told: decode_estimates([told]))
+    facts = _mapping("facts", value["facts"], lambda name, number: number)
+    for name, number in facts.items():
+        _check_fact(name, number, failed=value["failure"] is not None)
+    return Answer(facts=facts, failure=value["failure"], estimate=value["estimate"])
+
+
+def header(value: Any) -> dict[str, Any]:
+    """The fields of a header."""
+    if not isinstance(value, dict) or value.keys() != _HEADER.keys():
+        raise ValueError(f"header is {_shown(value)}, expected {', '.join(sorted(_HEADER))}")
+    return {name: check(name, value[name]) for name, check in _HEADER.items()}
+
+
+def contract(value: Any) -> dict[str, Any]:
+    """What a check of the contract found."""
+    if not isinstance(value, dict) or value.keys() != _CONTRACT.keys():
+        raise ValueError(f"contract is {_shown(value)}, expected {', '.join(sorted(_CONTRACT))}")
+    return {name: check(name, value[name]) for name, check in _CONTRACT.items()}
+
+
+def _check_fact(name: str, value: Any, *, failed: bool) -> None:
+    made = fact(name)
+    if value is None and (made.needs or not failed):
+        return
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    largest = min(made.most * (1 + _SLACK), LARGEST_ERROR)
+    if number and (value == made.failed if failed else 0 <= value <= largest):
+        return
+    expected = (
+        f"{made.failed} of a failed prediction" if failed else f"a number from 0 to {made.most:g}"
+    )
+    raise ValueError(f"{name} is {_shown(value)}, expected {expected}")
+
+
+def _decoded(name: str, value: Any, decode: Callable[[str], object]) -> None:
+    try:
+        decode(text(name, value))
+    except ValueError as error:
+        raise ValueError(f"{name} is {_shown(value)} ({error})") from error
+
+
+def _shown(value: Any) -> str:
+    seen = repr(value)  # what comes from JSON here is not nested deep
+    return seen if len(seen) <= 80 else f"{seen[:77]}..."
+
+
+def _mapping(name: str, value: Any, check: Callable[[str, Any], _T]) -> dict[str, _T]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} is {_shown(value)}, expected a mapping")
+    return {key: check(f"{name} of {key}", part) for key, part in value.items()}
+
+
+def _list(name: str, value: Any) -> list[str]:
+    if not isinstance(value, list):
+        raise ValueError(f"{name} is {_shown(value)}, expected a list of texts")
+    return [text(name, part) for part in value]
+
+
+def _count(name: str, value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**62:
+        raise ValueError(f"{name} is {_shown(value)}, expected a count")
+    return value
+
+
+def _counts(name: str, value: Any) -> Mapping[str, int]:
+    return _mapping(name, value, _count)
+
+
+def _seeds(name: str, value: Any) -> int:
+    if _count(name, value) < 1:
+        raise ValueError(f"{name} is {value}, expected at least 1")
+    return int(value)
+
+
+def _shard(name: str, value: Any) -> str:
+    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text(name, value))
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise ValueError(f"{name} is {_shown(value)}, expected i/n with 1 <= i <= n")
+    return str(value)
+
+
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is {_shown(value)}, expected true or false")
+    return value
+
+
+_HEADER: Mapping[str, Callable[[str, Any], Any]] = {
+    "method": text,
+    "dataset": text,
+    "shard": _shard,
+    "selected": _count,
+    "listed": _counts,
+    "missing": _list,
+    "damaged": _list,
+    "identity": texts,
+    "definitions": texts,
+    "provenance": texts,
+    "seeds": _seeds,
+    "under_contract": _flag,
+    "nonce": text,
+}
+
+#: As :class:`pytest_cpas.checks.contract.ContractResult` tells it.
+_CONTRACT: Mapping[str, Callable[[str, Any], Any]] = {
+    "check": text,
+    "outcome": text,
+    "demanded": _flag,
+    "message": text,
+    "known": _flag,
+    "recorded": _flag,
+}
