@@ -36,6 +36,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-limit": _SELECTING,
     "--cpas-shard": _SELECTING,
     "--cpas-profile": _METHOD,
+    "--cpas-timeout": _METHOD,
     "--cpas-jitter": _METHOD,
     "--cpas-benchmark-against": ("--cpas-benchmark",),
     "--cpas-benchmark-fail": ("--cpas-benchmark",),
@@ -148,6 +149,13 @@ def add_options(parser: pytest.Parser) -> None:
         default="1/1",
         help="judge the I-th of N parts of the samples; merge the --cpas-results of all parts with"
         " pytest-cpas merge",
+    )
+    group.addoption(
+        "--cpas-timeout",
+        metavar="SECONDS",
+        help="end the run, or with xdist the worker, when a prediction takes longer per sample, and"
+        " say where the method was; the same command goes on from there (default: ini"
+        " cpas_timeout, else any time)",
     )
     group.addoption(
         "--cpas-results",
@@ -294,6 +302,7 @@ def add_options(parser: pytest.Parser) -> None:
     parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
     parser.addini("cpas_alarm", "the same as --cpas-alarm")
     parser.addini("cpas_protocol", "the same as --cpas-protocol, one a line", type="linelist")
+    parser.addini("cpas_timeout", "the same as --cpas-timeout")
 
 
 @pytest.hookimpl(tryfirst=True)

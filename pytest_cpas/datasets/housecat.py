@@ -29,7 +29,6 @@ from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
 from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
@@ -120,7 +119,7 @@ class HouseCat6D(RecordTree):
     ) -> list[tuple[SampleRef, Record]]:
         path = self.root / file
         scan.read(file)
-        label = load_numpy_pickle(regular(path))
+        label = load_numpy_pickle(path)
         keys = ("class_ids", "instance_ids", "rotations", "translations", "gt_scales")
         absent = [key for key in keys if key not in label]
         if absent:

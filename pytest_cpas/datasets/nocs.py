@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._tree import Tree, find_root
-from pytest_cpas.reading.files import read_text, regular
+from pytest_cpas.reading.files import read_text
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers
 from pytest_cpas.reading.paths import natural
@@ -232,7 +232,7 @@ class NocsTree(Tree):
         return self._read_depth(self.root / f"{self.frames}/{frame}_depth.png", self.camera)
 
     def _read_poses(self, path: Path) -> Array:
-        poses = load_numpy_pickle(regular(path)).get("gt_RTs")
+        poses = load_numpy_pickle(path).get("gt_RTs")
         if (
             not isinstance(poses, np.ndarray)
             or poses.shape[1:] != (4, 4)

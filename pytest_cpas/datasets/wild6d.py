@@ -24,7 +24,6 @@ from typing import Any
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
-from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
@@ -68,7 +67,7 @@ class Wild6D(RecordTree):
 
     def _scan_sequence(self, scan: Scan, category: str, path: str, tests: set[str] | None) -> None:
         scan.read(path)
-        annotations = load_numpy_pickle(regular(self.root / path)).get("annotations")
+        annotations = load_numpy_pickle(self.root / path).get("annotations")
         if not isinstance(annotations, list):
             raise DataError(f"{self.root / path}: annotations is not a list")
         words = path.rsplit("/", 1)[1].removesuffix(".pkl").split("-")

@@ -21,10 +21,12 @@ from pytest_cpas.evaluation.results import (
 from pytest_cpas.evaluation.results_file import ResultsFile
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
 __all__ = [
     "Answer",
     "Header",
+    "Limit",
     "MergedRun",
     "MethodError",
     "MethodRun",
@@ -37,7 +39,9 @@ __all__ = [
     "Selection",
     "Shard",
     "StoredRun",
+    "Watchdog",
     "assign_detections",
+    "can_watch",
     "check_answers",
     "decode_estimates",
     "decode_shape",
@@ -45,6 +49,7 @@ __all__ = [
     "encode_shape",
     "measure",
     "merge",
+    "parse_seconds",
     "read_frames",
     "read_results",
 ]

@@ -6,6 +6,7 @@ import functools
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
@@ -13,6 +14,7 @@ from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.evaluation.watchdog import Limit, Limited
 from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
 from pytest_cpas.reading.files import sha256
@@ -85,6 +87,8 @@ class MethodRun(Run):
         self.seed, self.seeds, self.shared = seed, seeds, shared
         self.loading: Loading = shared.loading if shared else Loading(method, weights, device)
         self._keeps_shapes = keeps_shapes
+        #: How long a prediction may take, set by whoever can tell of one that took longer.
+        self.limit: Limit | None = None
         self.under_contract = shared is None
         self.info = method.info
         reader = dataset.wrapped if isinstance(dataset, WrappedDataset) else dataset
@@ -138,6 +142,10 @@ class MethodRun(Run):
         made.load(self._weights, self._device)
         return made
 
+    def limited(self, method: Method) -> Method:
+        """``method``, loaded or another instance, as the contract is checked: within the limit."""
+        return method if self.limit is None else cast(Method, Limited(method, self.limit))
+
     @raised_as(DataError)
     def read(self, ref: SampleRef) -> Sample:
         """One sample; :class:`DataError` if it is damaged."""
@@ -160,17 +168,23 @@ class MethodRun(Run):
         except MethodError as error:
             raise SampleError(f"{where}: {error}") from None
         answers, shapes = zip(
-            *(self._answer(method, sample, self.seed + n, where) for n in range(self.seeds)),
+            *(self._answer(method, ref, sample, self.seed + n, where) for n in range(self.seeds)),
             strict=True,
         )
         return Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
 
     def _answer(
-        self, method: Method, sample: Sample, seed: int, where: str
+        self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str
     ) -> tuple[Answer, str | None]:
         """The answer under one seed, and its shape if that is to be kept."""
         try:
-            predictions = method.predict([sample.observation.copy()], seed)
+            batch = [sample.observation.copy()]
+            if self.limit is None:
+                predictions = method.predict(batch, seed)
+            else:
+                predictions = self.limit.predict(
+                    method, batch, seed, f"{where}: predict", sample=ref.id
+                )
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:

@@ -43,6 +43,11 @@ class PairTable:
     facts: Mapping[str, Array]
 
 
+def _no_match(name: str) -> float:
+    """Of a pair with an answer that is none."""
+    return 0.0 if fact(name).better == "higher" else np.inf
+
+
 def pair_table(
     names: Collection[str],
     detected: Sequence[Detected],
@@ -67,7 +72,7 @@ def pair_table(
         range(len(categories)),
     )
     known = [name for name in names if fact(name).needs <= set(gives)]
-    facts = {name: np.full(len(detections.pairs), fact(name).failed) for name in known}
+    facts = {name: np.full(len(detections.pairs), _no_match(name)) for name in known}
     answered: list[int] = []
     estimates: list[Hypothesis] = []
     for index, prediction in enumerate(detections.pairs[:, 0].tolist()):

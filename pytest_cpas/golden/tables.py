@@ -96,10 +96,10 @@ class RunTable:
 
     ``identity`` must agree for two tables to be comparable, ``definitions`` (of facts, by name) for
     two columns to be, ``provenance`` need not; ``own_provenance`` is that of categories which were
-    recorded by another run than the rest. ``listed`` counts per category the samples that
-    there are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the
-    detections of the data set, None where there are none, or no protocol ranks them.
-    ``outdated``: it was read from files of an older form, which know less.
+    recorded by another run than the rest. ``listed`` counts per category the samples that there
+    are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the detections of
+    the data set, None where there are none, or no protocol ranks them. ``outdated``: it was read
+    from files of an older form, which know less.
     """
 
     method: str
@@ -111,8 +111,8 @@ class RunTable:
     samples: Mapping[str, TableSample]
     listed: Mapping[str, int]
     seeds: int = 1
-    own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     ranking: Ranking | None = None
+    own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     outdated: bool = False
 
     @classmethod
@@ -245,13 +245,13 @@ class RunTable:
             }
         if not kept:
             return replace(self, samples=now)
-        ranking = self.ranking
-        if ranking and previous.ranking:
-            ranking = previous.ranking.without(counts).joined(ranking)
         still = {sample.category for sample in kept.values()}
         own = {name: told for name, told in previous.own_provenance.items() if name in still}
         if self.provenance != previous.provenance:
             own |= dict.fromkeys(counts, self.provenance)
+        ranking = self.ranking
+        if ranking and previous.ranking:
+            ranking = previous.ranking.without(counts).joined(ranking)
         return replace(
             self,
             samples=kept | now,

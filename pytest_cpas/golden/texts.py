@@ -7,7 +7,7 @@ columns of a protocol are, and one cell per line. No text says anything that two
 different categories would both have to change, and none of theirs stand side by side, so that they
 can be merged line by line.
 
-On reading all texts are made anew from what was read, and compared.
+All but the facts and the detections follows from those: on reading it is written anew and compared.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from pytest_cpas._files import toml_string
@@ -100,7 +101,8 @@ def _by_category(lines: Iterable[Sequence[object]]) -> dict[str, str]:
     other for a conflict."""
     groups: dict[str, io.StringIO] = {}
     for line in lines:
-        if (category := str(line[0])) not in groups:
+        category = str(line[0])
+        if category not in groups:
             groups[category] = io.StringIO()
             groups[category].write("\n")
         csv.writer(groups[category], lineterminator="\n").writerow(line)
@@ -112,20 +114,27 @@ def _field(value: float | None) -> str:
 
 
 def _run_toml(table: RunTable, facts: Mapping[str, str], detections: Mapping[str, str]) -> str:
+    """``facts`` and ``detections``: the lines of each category."""
     names = ", ".join(toml_string(protocol.name) for protocol in table.protocols)
-    ranked = str(table.ranking is not None).lower()
-    lines = [f"seeds = {table.seeds}", f"protocols = [{names}]", f"detections = {ranked}"]
+    lines = [f"seeds = {table.seeds}", f"protocols = [{names}]"]
+    lines += [f"detections = {str(table.ranking is not None).lower()}"]
     for title in ("identity", "definitions", "provenance"):
         values: Mapping[str, str] = getattr(table, title)
         order = values if title == "definitions" else sorted(values)
         lines += ["", f"[{title}]", *_toml_lines({key: values[key] for key in order})]
     conditions = "\n".join([*lines, *map(_protocol_head, table.protocols)])
     head = [_TITLE, f"format = {FORMAT}", f"conditions = {toml_string(_digest(conditions))}"]
-    for category, stated in _categories(table, facts, detections).items():
+    counted = table.ranking.counted if table.ranking else {}
+    samples = Counter(sample.category for sample in table.samples.values())
+    for category in sorted({*facts, *detections, *counted}):
         section = f"categories.{toml_string(category)}"
         own = _toml_lines(dict(sorted(table.own_provenance.get(category, {}).items())))
-        digest = _digest("\n".join([str(stated["facts"]), *own]))
-        lines += ["", f"[{section}]", *_toml_lines({**stated, "facts": digest})]
+        told: dict[str, object] = {"samples": samples[category]}
+        if table.ranking:
+            told["counted"] = list(counted.get(category, ()))
+        content = [facts.get(category, ""), detections.get(category, ""), str(told), *own]
+        told["digest"] = _digest("".join(content))
+        lines += ["", f"[{section}]", *_toml_lines(told)]
         if own:
             lines += ["", f"[{section}.provenance]", *own]
     return "\n".join([*head, *lines]) + "\n"
@@ -133,23 +142,6 @@ def _run_toml(table: RunTable, facts: Mapping[str, str], detections: Mapping[str
 
 def _toml_lines(values: Mapping[str, object]) -> list[str]:
     return [f"{toml_key(key)} = {_toml_value(value)}" for key, value in values.items()]
-
-
-def _categories(
-    table: RunTable, facts: Mapping[str, str], detections: Mapping[str, str]
-) -> dict[str, dict[str, object]]:
-    """What ``run.toml`` says of each category."""
-    counted = table.ranking.counted if table.ranking else {}
-    samples = Counter(sample.category for sample in table.samples.values())
-    stated: dict[str, dict[str, object]] = {}
-    for category in sorted({*facts, *detections, *counted}):
-        told: dict[str, object] = {"samples": samples[category]}
-        told["facts"] = _digest(facts.get(category, ""))
-        if table.ranking:
-            told["detections"] = _digest(detections.get(category, ""))
-            told["counted"] = list(counted.get(category, ()))
-        stated[category] = told
-    return stated
 
 
 def toml_key(key: str) -> str:
@@ -165,23 +157,16 @@ def _digest(text: str) -> str:
 def _protocol_toml(table: RunTable, protocol: Protocol) -> str:
     lines = [_protocol_head(protocol)]
     for category, cells in _cells(table, protocol).items():
-        lines += ["", f"[cells.{toml_string(category)}]"]
-        lines += [f"{key} = {toml_string(cell)}" for key, cell in cells.items()]
+        lines += ["", f"[cells.{toml_string(category)}]", *_toml_lines(cells)]
     return "\n".join(lines) + "\n"
 
 
 def _protocol_head(protocol: Protocol) -> str:
     """What a protocol is, without a table's cells."""
-    lines = [
-        _TITLE,
-        f"name = {toml_string(protocol.name)}",
-        f"version = {protocol.version}",
-        f"title = {toml_string(protocol.title)}",
-        f"source = {toml_string(protocol.source)}",
-    ]
+    head = {name: getattr(protocol, name) for name in ("name", "version", "title", "source")}
+    lines = [_TITLE, *_toml_lines(head)]
     for column in protocol.columns:
-        lines += ["", "[[columns]]"]
-        lines += [f"{key} = {_toml_value(value)}" for key, value in column.declared().items()]
+        lines += ["", "[[columns]]", *_toml_lines(column.declared())]
     return "\n".join(lines)
 
 
@@ -231,14 +216,16 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
             raise GoldenError(f"{RUN}: {', '.join(sections)} must be tables of strings")
     protocols = tuple(_protocol(name, texts) for name in _protocol_names(content))
-    stated = content.get("categories", {})
-    if not isinstance(stated, dict) or not all(isinstance(told, dict) for told in stated.values()):
-        raise GoldenError(f"{RUN}: categories is no table of tables")
+    categories = content.get("categories", {})
+    if not isinstance(categories, dict) or not all(
+        isinstance(v, dict) for v in categories.values()
+    ):
+        raise GoldenError(f"{RUN}: categories must be tables")
     try:
         answers = _read_facts(texts[FACTS], seeds)
-        ranking = (
-            _read_ranking(texts[DETECTIONS], stated, protocols) if _is_ranked(content) else None
-        )
+        ranking = None
+        if _is_ranked(content):
+            ranking = _read_ranking(texts[DETECTIONS], categories, protocols)
         table = RunTable(
             method=method,
             dataset=dataset,
@@ -250,28 +237,27 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
             listed=Counter(category for category, _ in answers.values()),
             seeds=seeds,
             ranking=ranking,
-            own_provenance={name: own for name in stated if (own := _own_provenance(stated, name))},
+            own_provenance=_own_provenance(categories),
         )
         again = table_texts(table)
-    except (DataError, ValueError, IndexError) as error:
+    except (DataError, ValueError) as error:
         raise GoldenError(str(error)) from error
-    for name in (FACTS, DETECTIONS):
-        if again.get(name) != texts.get(name):
-            raise GoldenError(f"{name} is not as it was recorded")
-    if again[RUN] != texts[RUN]:
-        raise GoldenError(f"{FACTS} is not the file that {RUN} was made with, or that was edited")
-    for protocol in protocols:
-        if again[file := protocol_file(protocol.name)] != texts[file]:
-            raise GoldenError(f"{file} is not what follows from {FACTS}")
+    for name in again:
+        if again[name] != texts.get(name):
+            raise GoldenError(f"{name} is not what follows from {FACTS}, or one of them was edited")
     return table
 
 
-def _own_provenance(stated: Mapping[str, Mapping[str, Any]], category: str) -> dict[str, str]:
-    """That of a category which was recorded by a run of its own; else empty."""
-    own = stated[category].get("provenance", {})
-    if not isinstance(own, dict) or not all(isinstance(value, str) for value in own.values()):
-        raise GoldenError(f"{RUN}: the provenance of {category} is no table of strings")
-    return own
+def _own_provenance(categories: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """That of categories which were recorded by a run of their own."""
+    told = {}
+    for category, section in categories.items():
+        own = section.get("provenance", {})
+        if not isinstance(own, dict) or not all(isinstance(value, str) for value in own.values()):
+            raise GoldenError(f"{RUN}: [categories.{category}] is not what is recorded")
+        if own:
+            told[category] = own
+    return told
 
 
 def file_names(run_toml: str) -> list[str]:
@@ -329,32 +315,30 @@ def _read_facts(text: str, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...
         raise ValueError(f"{FACTS}: expected {', '.join(_KEYS)}, facts and {_FAILURE}")
     in_catalogue = [fact(name) for name in names]
     answers: dict[str, tuple[str, list[Answer]]] = {}
-    for number, line in lines:
-        if not line:
-            continue
+    for number, line in filter(itemgetter(1), lines):
         if len(line) != len(head):
             raise ValueError(f"{FACTS}, line {number}: {len(line)} fields, expected {len(head)}")
         category, name, seed = line[: len(_KEYS)]
-        failure = line[-1] or None
         facts = {
-            made.name: _number(value, made, failure is not None)
+            made.name: _number(value, made)
             for made, value in zip(in_catalogue, line[len(_KEYS) : -1], strict=True)
         }
         own, given = answers.setdefault(sys.intern(name), (sys.intern(category), []))
         if own != category or seed != str(len(given)):
             raise ValueError(f"{FACTS}, line {number}: sample {name}, seed {seed}: out of order")
-        given.append(Answer(facts=facts, failure=failure))
+        given.append(Answer(facts=facts, failure=line[-1] or None))
     for name, (_, given) in answers.items():
         if len(given) != seeds:
             raise ValueError(f"{FACTS}: sample {name} has {len(given)} seeds, expected {seeds}")
     return {name: (category, tuple(given)) for name, (category, given) in answers.items()}
 
 
-def _number(text: str, made: Fact, failed: bool) -> float | None:
+def _number(text: str, made: Fact) -> float | None:
     if not text:
         return None
-    if failed:
-        return real(text, made.failed, made.failed)
+    number = real(text, -math.inf, math.inf)
+    if number == made.failed:
+        return number
     return real(text, 0.0, made.most * (1 + 1e-6))
 
 
@@ -364,9 +348,7 @@ def _read_ranking(text: str, stated: Mapping[str, Any], protocols: Sequence[Prot
     if tuple(next(lines, (0, ()))[1]) != _DETECTION:
         raise ValueError(f"{DETECTIONS}: expected the columns {', '.join(_DETECTION)}")
     detections: dict[str, RankedDetection] = {}
-    for number, line in lines:
-        if not line:
-            continue
+    for number, line in filter(itemgetter(1), lines):
         if len(line) != len(_DETECTION) or not re.fullmatch(f"[01-]{{{columns}}}", line[-1]):
             raise ValueError(f"{DETECTIONS}, line {number}: expected {', '.join(_DETECTION)}")
         category, name, score, outcome = line

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 _COVER = 1000
 _CLIMBERS = 24
+#: Rounds of the search; of boxes a hundredth as thin as long it may end before it has converged.
+_MOST_ROUNDS = 1000
 _DIRECTIONS = np.array([d for d in itertools.product((-1, 0, 1), repeat=3) if any(d)], dtype=float)
 
 
@@ -53,7 +55,9 @@ def _largest(rotation: Array, offset: Array, half_a: Array, half_b: Array) -> fl
     turns, values = turns[order], values[order]
     step = 0.1
     frames = itertools.cycle(_cover(97))
-    while step > 1e-7 and values.max() < cap:
+    for _ in range(_MOST_ROUNDS):
+        if step <= 1e-7 or values.max() >= cap:
+            break
         moves = Rotation.from_rotvec(step * _DIRECTIONS @ next(frames)).as_matrix()
         tried = moves[None] @ turns[:, None]
         found = value(tried.reshape(-1, 3, 3)).reshape(tried.shape[:2])

@@ -14,7 +14,8 @@ them, than the thickness over the radius, and than ``_TRUSTED_WIDTH``, is judged
 ends: a concave arc lies below both tangents, a convex one below its ends. All other intervals are
 judged by the tent. Intervals whose bound exceeds the best value by more than the tolerance are
 split until there is none; so where f' is wild the search is rigorous, and elsewhere it needs
-about a hundred angles.
+about a hundred angles. Of boxes thinner than ``_LEAST_TRUSTED_WIDTH`` of their radius a maximum may
+be missed, else the search would not end.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ _START = 24
 #: The ends of an interval are believed below this width, and below this multiple of its distance
 #: from the nearest alignment.
 _TRUSTED_WIDTH = 0.06
+#: The same for boxes so thin that intervals as narrow as they are thin would be without number.
+_LEAST_TRUSTED_WIDTH = 1e-4
 _TRUSTED_RATIO = 0.5
 #: Pairs that are searched together; bounds the memory.
 _CHUNK = 1024
@@ -98,7 +101,7 @@ class _Spin:
         self.cap = 8 * np.minimum(half_a.prod(axis=1), half_b.prod(axis=1))
         thinnest = np.minimum(half_a.min(axis=1), half_b.min(axis=1))
         radius = np.linalg.norm(half_b, axis=1)
-        self.trusted_width = np.minimum(_TRUSTED_WIDTH, thinnest / radius)
+        self.trusted_width = np.clip(thinnest / radius, _LEAST_TRUSTED_WIDTH, _TRUSTED_WIDTH)
         # half a turn about one of its own axes leaves a box as it was
         self.period = np.pi if np.sort(np.abs(axis))[1] < 1e-9 else 2 * np.pi
         # azimuths about the axis of the faces of A, (N, 3), and of B that are not across it

@@ -11,13 +11,14 @@ predictions with equal scores enter the curve together, and in an image the bett
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pytest_cpas.types import ContractError
+from pytest_cpas.types._arrays import MAX, checked_number, finite_array
 
 __all__ = ["POSE_MATCH_IOU", "AveragePrecision", "Detections", "Matches", "interpolated_area"]
 
@@ -33,6 +34,11 @@ class AveragePrecision:
     """AP of each category (None: it has no ground truth) and their mean."""
 
     by_category: dict[int, float | None]
+
+    def __post_init__(self) -> None:
+        for category, value in self.by_category.items():
+            if value is not None:
+                checked_number(value, f"AP of category {category!r}", 0, 1 + 1e-9)
 
     @property
     def mean(self) -> float | None:
@@ -70,11 +76,20 @@ class Detections:
         true_category: ArrayLike,
         categories: Sequence[int],
     ) -> None:
-        self.scores = np.asarray(pred_score, dtype=np.float64)
-        self.pred_category = np.asarray(pred_category)
-        self.true_category = np.asarray(true_category)
+        self.scores = finite_array(pred_score, "detections: scores", MAX)
+        self.pred_category = _names(pred_category, "categories of the predictions")
+        self.true_category = _names(true_category, "categories of the ground truth")
+        if not isinstance(categories, Iterable) or not all(
+            isinstance(name, int | str | np.integer) for name in categories
+        ):
+            raise ContractError(f"detections: categories {categories!r:.100}, expected integers")
         self.categories = tuple(categories)
-        images = np.asarray(pred_image), np.asarray(true_image)
+        images = tuple(
+            _names(image, f"images of the {what}")
+            for what, image in (("predictions", pred_image), ("ground truth", true_image))
+        )
+        if self.scores.ndim != 1:
+            raise ContractError(f"detections: scores of shape {self.scores.shape}, expected (P,)")
         for what, expected, arrays in (
             ("predictions", len(self.scores), (images[0], self.pred_category)),
             ("ground truth", len(self.true_category), (images[1],)),
@@ -84,8 +99,6 @@ class Detections:
                     f"detections: the arrays of the {what} have shapes"
                     f" {[array.shape for array in arrays]}, expected ({expected},)"
                 )
-        if not np.isfinite(self.scores).all():
-            raise ContractError("detections: a score is NaN or infinite; AP needs a ranking")
         keys = [
             np.stack([image, category], axis=1)
             for image, category in zip(
@@ -101,7 +114,8 @@ class Detections:
 
     def iou_matches(self, iou: ArrayLike, threshold: float) -> Matches:
         """What :meth:`iou_ap` ranks."""
-        iou = self._per_pair(iou, "iou")
+        iou = self._per_pair(iou, "iou", 1 + 1e-9)
+        threshold = checked_number(threshold, "iou_ap: threshold", 0, 1)
         matched, _ = self._match(-iou, iou > threshold)
         everything = np.ones(len(self.scores), dtype=bool), np.ones(len(self.true_category), bool)
         return Matches(matched, *everything)
@@ -138,12 +152,15 @@ class Detections:
         """What :meth:`pose_ap` ranks."""
         rotation = self._per_pair(rotation_deg, "rotation_deg")
         position = self._per_pair(position_m, "position_m")
-        cost = rotation + 100 * position
+        checked_number(max_rotation_deg, "pose_ap: max_rotation_deg", 0, MAX)
+        checked_number(max_position_m, "pose_ap: max_position_m", 0, MAX)
+        with np.errstate(over="ignore"):  # what is so far off is near nothing
+            cost = rotation + 100 * position
         near = (rotation <= max_rotation_deg) & (position <= max_position_m)
         taking_part = np.ones(len(self.scores), dtype=bool)
         counted = np.ones(len(self.true_category), dtype=bool)
         if match_iou is not None:
-            iou = self._per_pair(match_iou, "match_iou")
+            iou = self._per_pair(match_iou, "match_iou", 1 + 1e-9)
             taking_part, counted = self._match(-iou, iou > POSE_MATCH_IOU)
             near &= taking_part[self.pairs[:, 0]] & counted[self.pairs[:, 1]]
         matched, _ = self._match(cost, near)
@@ -164,12 +181,18 @@ class Detections:
             )
         return AveragePrecision(areas)
 
-    def _per_pair(self, value: ArrayLike, name: str) -> Array:
-        values = np.asarray(value, dtype=np.float64)
-        if values.shape != (len(self.pairs),) or np.isnan(values).any():
+    def _per_pair(self, value: ArrayLike, name: str, most: float = np.inf) -> Array:
+        """An error, infinite for a failed prediction, or an IoU up to ``most`` for each pair."""
+        values = finite_array(value, name, np.inf)
+        if values.shape != (len(self.pairs),):
             raise ContractError(
-                f"{name}: shape {values.shape}, expected ({len(self.pairs)},) numbers without NaN,"
-                " one for each of the pairs"
+                f"{name}: shape {values.shape}, expected ({len(self.pairs)},), one for each of the"
+                " pairs"
+            )
+        if values.size and not (values.min() >= 0 and values.max() <= most):
+            limit = "" if most == np.inf else ", 1 at most"
+            raise ContractError(
+                f"{name}: from {values.min():g} to {values.max():g}, expected 0 or more{limit}"
             )
         return values
 
@@ -202,6 +225,28 @@ class Detections:
             open_pairs = ~pred_matched[pred] & ~true_matched[true]
             pred, true = pred[open_pairs], true[open_pairs]
         return pred_matched, true_matched
+
+
+def _names(value: ArrayLike, what: str) -> NDArray[np.generic]:
+    """Integers or texts by which images or categories are told apart."""
+    try:
+        names = np.asarray(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ContractError(f"detections: {what} are no names ({error})") from None
+    if names.ndim == 1 and names.size == 0:
+        return names.astype(np.int64)
+    if (
+        names.dtype.kind == "f"
+        and (np.abs(names) < 2**53).all()
+        and (names == np.floor(names)).all()
+    ):
+        names = names.astype(np.int64)
+    if names.ndim != 1 or names.dtype.kind not in "iuU":
+        raise ContractError(
+            f"detections: {what} are {names.shape} of {names.dtype}, expected (N,) integers or"
+            " texts"
+        )
+    return names
 
 
 def _equal_pairs(left: Indices, right: Indices) -> Indices:

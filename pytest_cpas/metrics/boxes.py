@@ -11,8 +11,8 @@
 A box is centred on its frame's origin. ``rotation`` (..., 3, 3) and ``translation`` (..., 3) in
 metres take its frame to the camera's; ``extents`` (..., 3) are its side lengths in metres. All
 arguments broadcast against each other. ``a`` is the estimate, ``b`` the truth. Every function
-raises :class:`ContractError` for matrices that are not rotations, for NaN, and for extents that
-are not positive.
+raises :class:`ContractError` for matrices that are not rotations, for NaN, for magnitudes above
+1e100, and for extents that are not positive (at least 1e-100) or differ by a factor above 1e15.
 """
 
 from __future__ import annotations
@@ -25,10 +25,14 @@ from pytest_cpas.metrics._box_clipping import overlap_and_torque
 from pytest_cpas.metrics._box_spin import largest_overlap
 from pytest_cpas.metrics.pose import checked_rotations, checked_vectors
 from pytest_cpas.types import ContractError, Mesh, Pose, Symmetry
+from pytest_cpas.types._arrays import SMALLEST_OF_METRICS, check_sides, checked_integer
 
 __all__ = ["axis_aligned_box_iou", "iou_plus", "nocs_legacy_iou", "oriented_iou", "symmetric_iou"]
 
 Array = NDArray[np.float64]
+
+#: More spins than that are a slip of the pen.
+_MOST_SPINS = 10_000
 
 #: The eight corners of a box in units of half its extents.
 _CORNERS = np.stack(np.meshgrid((1, -1), (1, -1), (1, -1), indexing="ij"), axis=-1).reshape(8, 3)
@@ -69,7 +73,8 @@ def symmetric_iou(
     (Published codes spin the estimate, which is another number unless the two axes coincide.) A
     discrete group is tried in full. A continuous axis is searched by branch and bound over the
     angle (``_box_spin`` says why that is sound), all rotations by ``_box_ball``; both come within
-    1e-6 of the maximum, usually 1e-8. Batches pay: a single pair costs milliseconds.
+    1e-6 of the maximum, usually 1e-8, for boxes that are not thinner than 1e-4 of their length.
+    Batches pay: a single pair costs milliseconds.
 
     Source: paper section 3.1 (rotations about the symmetry axis are ignored in the IoU).
     """
@@ -80,6 +85,9 @@ def symmetric_iou(
     half_a, half_b = a[2] / 2, b[2] / 2
     # IoU = V / (sum - V) grows by at most 4 / sum per volume
     tolerance = 1e-8 * (a[2].prod(axis=-1) + b[2].prod(axis=-1)) / 4
+    # of thin boxes this is less than the rounding of a volume, below which no search ends
+    longest = np.maximum(a[2].max(axis=-1), b[2].max(axis=-1))
+    tolerance = np.maximum(tolerance, 1e-14 * longest**3)
     if symmetry.sphere:
         return _ratio(
             largest_overlap_of_ball(relative, offset, half_a, half_b), a[2], b[2]
@@ -131,7 +139,8 @@ def nocs_legacy_iou(
     NOCS' evaluation holds the corners as a (3, 8) array and takes the extremes over the axis of
     length 3: each corner's largest and smallest coordinate, instead of the box's extremes along
     x, y and z. The eight intervals that result are treated like the sides of an 8-dimensional
-    box. The value changes when both boxes are moved together. Kept to reproduce published
+    box. The value changes when both boxes are moved together, and is 0 where a corner's coordinates
+    are equal. Kept to reproduce published
     figures, with ``spins`` = 20 for the objects that the protocol calls symmetric (box A, the
     prediction, is turned about its y axis).
     """
@@ -153,9 +162,9 @@ def iou_plus(
     """
     low_a, high_a = _bounds(surface_a, pose_a)
     low_b, high_b = _bounds(surface_b, pose_b)
+    volume_a, volume_b = np.prod(high_a - low_a), np.prod(high_b - low_b)
     shared = np.prod(np.maximum(np.minimum(high_a, high_b) - np.maximum(low_a, low_b), 0))
-    union = np.prod(high_a - low_a) + np.prod(high_b - low_b) - shared
-    return float(shared / union)
+    return float(shared / (volume_a + volume_b - shared))
 
 
 def _oriented(
@@ -196,9 +205,17 @@ def _ratio(shared: Array, extents_a: Array, extents_b: Array) -> Array:
 
 def _corner_iou(boxes: tuple[ArrayLike, ...], spins: int, axis: int) -> Array:
     """IoU of the intervals between the corners' extremes over ``axis`` of (..., 8, 3)."""
-    if spins < 1:
-        raise ContractError(f"spins: {spins}, expected 1 (none) or more")
+    spins = checked_integer(spins, "spins, 1 for none", 1, _MOST_SPINS)
     shape, (rotation_a, centre_a, extents_a), (rotation_b, centre_b, extents_b) = _checked(*boxes)
+    if axis == -2:  # where both boxes are does not matter, and of far ones small sides are rounded
+        centre_a, centre_b = centre_a - centre_b, np.zeros_like(centre_b)
+    # by a power of two, which rounds nothing, so that no product of eight sides is out of range
+    largest = np.max(
+        [np.abs(v).max(axis=-1) for v in (centre_a, centre_b, extents_a, extents_b)], 0
+    )
+    scale = np.exp2(np.round(np.log2(largest)))[:, None]
+    centre_a, centre_b = centre_a / scale, centre_b / scale
+    extents_a, extents_b = extents_a / scale, extents_b / scale
     corners_b = _posed_corners(rotation_b, centre_b, extents_b)
     low_b, high_b = corners_b.min(axis=axis), corners_b.max(axis=axis)
     best = np.zeros(len(centre_a))
@@ -210,7 +227,8 @@ def _corner_iou(boxes: tuple[ArrayLike, ...], spins: int, axis: int) -> Array:
         sides = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
         shared = np.where(sides.min(axis=-1) < 0, 0, sides.prod(axis=-1))
         union = (high_a - low_a).prod(axis=-1) + (high_b - low_b).prod(axis=-1) - shared
-        best = np.maximum(best, shared / union)
+        # the legacy figure of boxes that are degenerate to it is 0 / 0
+        best = np.maximum(best, np.divide(shared, union, out=np.zeros_like(union), where=union > 0))
     return best.reshape(shape)
 
 
@@ -227,7 +245,7 @@ def _bounds(surface: Mesh | ArrayLike, pose: Pose) -> tuple[Array, Array]:
         raise ContractError("surface: it has no points")
     posed = pose.apply(points)
     low, high = posed.min(axis=0), posed.max(axis=0)
-    if np.any(low == high):
+    if (high - low).min() < SMALLEST_OF_METRICS:
         raise ContractError(
             f"surface: its {len(points)} points span {(high - low).tolist()} m along the camera's"
             " axes, so they enclose no volume; expected points in more than one plane"
@@ -271,10 +289,5 @@ def _checked(
 
 def _checked_extents(value: ArrayLike, what: str) -> Array:
     extents = checked_vectors(value, what)
-    if np.any(extents <= 0):
-        worst = extents.reshape(-1, 3)[np.argmin(extents.min(axis=-1))]
-        raise ContractError(
-            f"{what}: {worst.tolist()}, expected three positive side lengths (a negative one"
-            " often comes from a mirrored axis or an unclamped network output)"
-        )
+    check_sides(extents, what, SMALLEST_OF_METRICS)
     return extents

@@ -9,6 +9,7 @@ is raised whenever a change of the code changes a printed number.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -46,6 +47,12 @@ class Definition:
                 f"definition {self.name}:{self.variant}: parameters {sorted(parameters)}, expected"
                 f" {sorted(self.parameters)}"
             )
+        for key, value in parameters.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ContractError(
+                    f"definition {self.name}:{self.variant}: {key} is {value}, expected a finite"
+                    " number"
+                )
         values = ",".join(f"{key}={parameters[key]}" for key in sorted(parameters))
         return f"{self.name}:{self.variant}:{self.version}" + (f"[{values}]" if values else "")
 
@@ -97,7 +104,7 @@ def definition(name: str, variant: str) -> Definition:
     """Look a definition up; raises :class:`ContractError` that lists what there is."""
     try:
         return DEFINITIONS[name, variant]
-    except KeyError:
+    except (KeyError, TypeError):
         known = sorted(f"{known_name}:{known_variant}" for known_name, known_variant in DEFINITIONS)
         raise ContractError(
             f"definition {name}:{variant} does not exist; there are {', '.join(known)}"
@@ -106,6 +113,10 @@ def definition(name: str, variant: str) -> Definition:
 
 def require_same_definition(ours: str, theirs: str) -> None:
     """Raise :class:`ContractError` unless two numbers' definition ids are equal."""
+    if not isinstance(ours, str) or not isinstance(theirs, str):
+        raise ContractError(
+            f"definition ids are texts, and not {type(ours).__name__} and {type(theirs).__name__}"
+        )
     if ours != theirs:
         raise ContractError(
             f"numbers under different definitions cannot be compared: {ours} and {theirs}"

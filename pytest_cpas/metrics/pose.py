@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pytest_cpas.types import ContractError, Symmetry
+from pytest_cpas.types._arrays import LARGEST_OF_METRICS, finite_array
 from pytest_cpas.types.geometry import ORTHONORMAL_TOLERANCE
 
 __all__ = ["rotation_error", "translation_error"]
@@ -56,7 +57,8 @@ def rotation_error(
 def translation_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
     """Euclidean distance of two positions (..., 3), which broadcast; metres in, metres out.
 
-    Source: paper section 3.1. Raises :class:`ContractError` for NaN or another last axis.
+    Exact to rounding for distances of 1e-150 m and more. Source: paper section 3.1. Raises
+    :class:`ContractError` for NaN, coordinates above 1e100 m or another last axis.
     """
     estimate = checked_vectors(estimate, "estimated translation (metres)")
     truth = checked_vectors(truth, "true translation (metres)")
@@ -65,7 +67,7 @@ def translation_error(estimate: ArrayLike, truth: ArrayLike) -> Array:
 
 def checked_rotations(value: ArrayLike, what: str) -> Array:
     """Return (..., 3, 3) ``value`` as exact rotations; raise ContractError if it holds none."""
-    rotations = _finite(value, what)
+    rotations = finite_array(value, what, LARGEST_OF_METRICS)
     if rotations.shape[-2:] != (3, 3):
         raise ContractError(f"{what}: shape is {rotations.shape}, expected (..., 3, 3)")
     # the three columns, component first: long rows are several times faster than small matrices
@@ -130,22 +132,11 @@ def _gram_deviation(columns: Array) -> Array:
 
 
 def checked_vectors(value: ArrayLike, what: str) -> Array:
-    """Return (..., 3) ``value`` as finite float64; raise ContractError if it is not."""
-    vectors = _finite(value, what)
+    """Return (..., 3) ``value`` as float64 of magnitudes up to 1e100; else ContractError."""
+    vectors = finite_array(value, what, LARGEST_OF_METRICS)
     if vectors.shape[-1:] != (3,):
         raise ContractError(f"{what}: shape is {vectors.shape}, expected (..., 3)")
     return vectors
-
-
-def _finite(value: ArrayLike, what: str) -> Array:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ContractError(f"{what}: not an array of numbers ({error})") from None
-    if not np.isfinite(array).all():
-        bad = int(np.count_nonzero(~np.isfinite(array)))
-        raise ContractError(f"{what}: {bad} of {array.size} values are NaN or infinite")
-    return array
 
 
 def _first(bad: NDArray[np.bool_]) -> str:

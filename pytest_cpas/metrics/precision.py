@@ -9,8 +9,10 @@ Precision is P of Bruns & Jensfelt (2023); AUC and VUS are those of Omni6DPose (
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from types import MappingProxyType
 
 import numpy as np
@@ -18,6 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaincinv
 
 from pytest_cpas.types import ContractError
+from pytest_cpas.types._arrays import (
+    MAX,
+    checked_integer,
+    checked_number,
+    finite_array,
+)
 
 __all__ = [
     "FAILED",
@@ -36,6 +44,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Row = Mapping[str, float | None]
 
 #: The metrics that can be thresholded, and whether a larger value is the better one. Rotation in
@@ -49,6 +58,13 @@ METRICS: Mapping[str, bool] = MappingProxyType(
 FAILED: Mapping[str, float] = MappingProxyType(
     {name: -np.inf if larger_is_better else np.inf for name, larger_is_better in METRICS.items()}
 )
+
+
+#: By how much rounding may bring a share above 1.
+_SLACK = 1e-9
+
+#: More bins than that are a slip of the pen.
+_MOST_BINS = 1_000_000
 
 
 def _meets(name: str, values: Array, threshold: float) -> NDArray[np.bool_]:
@@ -74,10 +90,7 @@ class JointThreshold:
         if not self.limits:
             raise ContractError("joint threshold: no limit is given, expected at least one")
         for name, limit in self.limits.items():
-            if not (np.isfinite(limit) and limit >= 0):
-                raise ContractError(
-                    f"joint threshold: {name} is {limit}, expected a finite number >= 0"
-                )
+            checked_number(limit, f"joint threshold: {name}", 0, MAX)
 
     @property
     def limits(self) -> dict[str, float]:
@@ -123,6 +136,9 @@ class Count:
     total: int
 
     def __post_init__(self) -> None:
+        for name in ("correct", "total"):
+            part = checked_integer(getattr(self, name), f"count: {name}", -(2**62))
+            object.__setattr__(self, name, part)
         if not 0 <= self.correct <= self.total or self.total < 1:
             raise ContractError(f"count: {self.correct} of {self.total} is impossible")
 
@@ -133,6 +149,7 @@ class Count:
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """The exact (Clopper-Pearson) binomial confidence interval of the precision."""
+        confidence = checked_number(confidence, "confidence, between 0 and 1", 0, 1)
         if not 0 < confidence < 1:
             raise ContractError(f"confidence: {confidence}, expected a number between 0 and 1")
         tail = (1 - confidence) / 2
@@ -149,7 +166,8 @@ class Errors:
     """The errors of N samples by metric: ``values[name]`` (N,) where ``known[name]`` (N,) is true.
 
     Made from columns (arrays without a NaN, or sequences with None where n/a); a metric that is
-    left out, or None as a whole, is n/a for every sample.
+    left out, or None as a whole, is n/a for every sample. Raises :class:`ContractError` for what is
+    no error: negative, an IoU or an F-score above 1, NaN.
     """
 
     def __init__(self, columns: Mapping[str, ArrayLike | Sequence[float | None] | None]) -> None:
@@ -161,23 +179,7 @@ class Errors:
         for name, column in columns.items():
             if column is None:
                 continue
-            given = np.asarray(column)
-            known = (
-                np.array([entry is not None for entry in given.flat])
-                if given.dtype == object
-                else np.ones(given.shape, dtype=bool)
-            )
-            values = given.astype(np.float64)
-            if values.ndim != 1:
-                raise ContractError(f"errors: {name} has shape {values.shape}, expected (N,)")
-            bad = int(np.count_nonzero(np.isnan(values) & known))
-            if bad:
-                raise ContractError(
-                    f"errors: {bad} values of {name} are NaN; pass None where it is n/a, FAILED"
-                    " where the method gave no answer"
-                )
-            self.values[name] = values
-            self.known[name] = known
+            self.values[name], self.known[name] = _column(name, column)
         lengths = {name: len(values) for name, values in self.values.items()}
         if len(set(lengths.values())) > 1:
             raise ContractError(f"errors: the columns have different lengths, {lengths}")
@@ -185,6 +187,8 @@ class Errors:
     @classmethod
     def from_rows(cls, rows: Sequence[Row]) -> Errors:
         """From one mapping per sample."""
+        if not all(isinstance(row, Mapping) for row in rows):
+            raise ContractError("errors: expected a mapping from metrics to numbers per sample")
         names = [name for name in METRICS if any(row.get(name) is not None for row in rows)]
         for row in rows:
             if not set(row) <= set(METRICS):
@@ -207,6 +211,41 @@ class Errors:
         return correct, known
 
 
+def _column(name: str, column: ArrayLike | Sequence[float | None]) -> tuple[Array, Flags]:
+    """Values (N,), NaN where n/a, and where they are known; :class:`ContractError`."""
+    try:
+        given = np.asarray(column)
+        known = np.ones(given.shape, dtype=bool)
+        if given.dtype == object:
+            known = np.array([entry is not None for entry in given.flat], dtype=bool)
+            if not all(isinstance(entry, Real) for entry in given[known].flat):
+                raise TypeError("not all of it are numbers or None")
+        elif given.dtype.kind not in "biuf":
+            raise TypeError(f"of {given.dtype}")
+        with np.errstate(over="ignore"):  # it becomes infinite, which is judged below
+            values = given.astype(np.float64)
+    except (TypeError, ValueError, OverflowError, IndexError) as error:
+        raise ContractError(f"errors: {name} is no column of numbers ({error})") from None
+    if values.ndim != 1:
+        raise ContractError(f"errors: {name} has shape {values.shape}, expected (N,)")
+    if bad := int(np.count_nonzero(np.isnan(values) & known)):
+        raise ContractError(
+            f"errors: {bad} values of {name} are NaN; pass None where it is n/a, FAILED where the"
+            " method gave no answer"
+        )
+    _check_errors(name, values[known])
+    return values, known
+
+
+def _check_errors(name: str, values: Array) -> None:
+    """Raise :class:`ContractError` unless all are errors that there can be, or of FAILED."""
+    most = 1 + _SLACK if name in ("iou", "fscore") else np.inf
+    wrong = ((values < 0) | (values > most)) & (values != FAILED[name])
+    if wrong.any():
+        expected = f"0 or more, FAILED has {FAILED[name]}" + (", 1 at most" if most < 2 else "")
+        raise ContractError(f"errors: {name} is {values[wrong][0]:g}, expected {expected}")
+
+
 def count(
     errors: Errors, threshold: JointThreshold, among: NDArray[np.bool_] | None = None
 ) -> Count | None:
@@ -219,6 +258,11 @@ def count(
         return None
     correct, known = judged
     if among is not None:
+        among = np.asarray(among)
+        if among.dtype != bool or among.shape != known.shape:
+            raise ContractError(
+                f"among: {among.shape} of {among.dtype}, expected {known.shape} of bool"
+            )
         correct, known = correct & among, known & among
     total = int(np.count_nonzero(known))
     return Count(int(np.count_nonzero(correct)), total) if total else None
@@ -237,6 +281,8 @@ def count_by_category(
 
 def mean_over_categories(counts: Mapping[str, Count | None]) -> float | None:
     """Mean of the categories' precisions; absent categories take no part; None if all are."""
+    if not all(entry is None or isinstance(entry, Count) for entry in counts.values()):
+        raise ContractError("mean_over_categories: expected a Count, or None, per category")
     present = [entry.precision for entry in counts.values() if entry is not None]
     return float(np.mean(present)) if present else None
 
@@ -245,9 +291,16 @@ def curve(
     errors: Errors, metric: str, thresholds: Iterable[float], among: NDArray[np.bool_] | None = None
 ) -> list[Count] | None:
     """Counts against thresholds on one metric alone; None (n/a) if it is known of no sample."""
-    counts = [
-        count(errors, JointThreshold(**{metric: float(limit)}), among) for limit in thresholds
-    ]
+    if metric not in METRICS:
+        raise ContractError(f"curve: metric {metric!r}, expected one of {', '.join(METRICS)}")
+    limits = finite_array(
+        list(thresholds) if isinstance(thresholds, Iterable) else thresholds,
+        "curve: thresholds",
+        MAX,
+    )
+    if limits.ndim != 1:
+        raise ContractError(f"curve: thresholds of shape {limits.shape}, expected (N,)")
+    counts = [count(errors, JointThreshold(**{metric: float(limit)}), among) for limit in limits]
     present = [entry for entry in counts if entry is not None]
     return present if present else None
 
@@ -277,10 +330,12 @@ def best_and_worst(
     return Count(int(np.count_nonzero(best)), total), Count(int(np.count_nonzero(worst)), total)
 
 
-def _scores(value: ArrayLike, name: str) -> Array:
-    values = np.asarray(value, dtype=np.float64)
-    if values.ndim != 1 or np.isnan(values).any():
-        raise ContractError(f"{name}: expected (N,) numbers without NaN, shape is {values.shape}")
+def _scores(value: ArrayLike, metric: str, name: str) -> Array:
+    """Errors (N,) of a metric, none of them n/a."""
+    with np.errstate(over="ignore"):
+        values, known = _column(metric, value)
+    if not known.all():
+        raise ContractError(f"{name}: {metric} is None somewhere; leave samples out that are n/a")
     return values
 
 
@@ -291,8 +346,14 @@ def _share_met(margins: Array, bins: int | None) -> Array:
     """
     if bins is None:
         return np.clip(margins, 0, 1)
+    bins = checked_integer(bins, "bins", 1, _MOST_BINS)
     middles = (np.arange(bins) + 0.5) / bins
     return np.searchsorted(middles, margins, side="left") / bins
+
+
+def _quotient(errors: Array, largest: float) -> Array:
+    with np.errstate(over="ignore"):  # far beyond the largest threshold is far enough
+        return errors / largest
 
 
 def iou_auc(iou: ArrayLike, lower: float, *, bins: int | None = None) -> float | None:
@@ -302,7 +363,8 @@ def iou_auc(iou: ArrayLike, lower: float, *, bins: int | None = None) -> float |
     ``bins`` it is the midpoint sum that Omni6DPose's code prints (10, 100 and 100 bins). None
     (n/a) for no samples.
     """
-    values = _scores(iou, "iou_auc")
+    values = _scores(iou, "iou", "iou_auc")
+    lower = checked_number(lower, "iou_auc: lower", 0, 1)
     if not 0 <= lower < 1:
         raise ContractError(f"iou_auc: lower is {lower}, expected 0 <= lower < 1")
     if len(values) == 0:
@@ -325,20 +387,18 @@ def pose_vus(
     exact; with ``bins`` it is the midpoint sum that Omni6DPose's code prints (100 per axis). None
     (n/a) for no samples.
     """
-    rotation, position = _scores(rotation_deg, "pose_vus"), _scores(position_m, "pose_vus")
+    rotation = _scores(rotation_deg, "rotation_deg", "pose_vus")
+    position = _scores(position_m, "position_m", "pose_vus")
     if len(rotation) != len(position):
         raise ContractError(f"pose_vus: {len(rotation)} rotations but {len(position)} positions")
-    if not (max_rotation_deg > 0 and max_position_m > 0):
-        raise ContractError(
-            f"pose_vus: the ranges end at {max_rotation_deg} deg and {max_position_m} m, expected"
-            " positive numbers"
-        )
+    for name, limit in (("rotation_deg", max_rotation_deg), ("position_m", max_position_m)):
+        checked_number(limit, f"pose_vus: the largest {name}", sys.float_info.min, MAX)
     if len(rotation) == 0:
         return None
     # a sample's part of the volume is the product of the shares of thresholds that it meets
     return float(
         np.mean(
-            _share_met(1 - rotation / max_rotation_deg, bins)
-            * _share_met(1 - position / max_position_m, bins)
+            _share_met(1 - _quotient(rotation, max_rotation_deg), bins)
+            * _share_met(1 - _quotient(position, max_position_m), bins)
         )
     )

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from pytest_cpas.types import ContractError, Mesh, Pose
+from pytest_cpas.types._arrays import LARGEST, checked_integer, checked_number, finite_array
 
 __all__ = ["Surface", "SurfaceErrors", "diameter", "sample_surface", "surface_errors"]
 
@@ -24,17 +25,20 @@ Array = NDArray[np.float64]
 #: Points that the paper samples on every true surface (and on every estimated mesh).
 SAMPLE_COUNT = 10_000
 
+#: Squares of smaller coordinates are less exact than these are.
+_SQUARES_VANISH = 1e-140
+
+#: More points than memory holds are a slip of the pen.
+_MOST_POINTS = 100_000_000
+
 #: Relative slack of every pruning test in :func:`diameter`, far above the rounding of a distance.
 _SLACK = 1e-9
 
 
 def _points(value: ArrayLike, what: str) -> Array:
-    points = np.asarray(value, dtype=np.float64)
+    points = finite_array(value, what)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
         raise ContractError(f"{what}: shape is {points.shape}, expected (N, 3) with N >= 1")
-    if not np.isfinite(points).all():
-        bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
-        raise ContractError(f"{what}: {bad} of {len(points)} points are NaN or infinite")
     return points
 
 
@@ -45,8 +49,9 @@ def sample_surface(mesh: Mesh, count: int, seed: int | np.random.Generator) -> A
     bit, on every machine: only IEEE elementary operations and a sequential sum are used. Raises
     :class:`ContractError` for a mesh without area or ``count`` < 1.
     """
-    if count < 1:
-        raise ContractError(f"sample_surface: count is {count}, expected at least 1")
+    count = checked_integer(count, "sample_surface: count", 1, _MOST_POINTS)
+    if not isinstance(seed, np.random.Generator):
+        seed = checked_integer(seed, "sample_surface: seed", 0)
     rng = np.random.default_rng(seed)
     a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
     u, v = b - a, c - a
@@ -55,7 +60,9 @@ def sample_surface(mesh: Mesh, count: int, seed: int | np.random.Generator) -> A
     double_areas = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
     cumulative = np.cumsum(double_areas)
     if not cumulative[-1] > 0:
-        raise ContractError("sample_surface: the mesh has no area; are its vertices all equal?")
+        raise ContractError(
+            "sample_surface: the mesh has no area; are its vertices all equal, or within 1e-80 m?"
+        )
     where, first, second = rng.random((3, count))
     # side="right" never picks a triangle without area
     chosen = np.searchsorted(cumulative, where * cumulative[-1], side="right")
@@ -89,7 +96,7 @@ class Surface:
         """The surface of a mesh (``count`` points sampled with ``seed``) or of points as given."""
         if isinstance(surface, Mesh):
             return cls(sample_surface(surface, count, seed))
-        return cls(np.asarray(surface, dtype=np.float64))
+        return cls(finite_array(surface, "surface points"))
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -115,6 +122,16 @@ class SurfaceErrors:
     to_truth: Array
     _truth: Surface = field(repr=False)
     _estimate: Surface = field(repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("to_estimate", "to_truth"):
+            distances = finite_array(getattr(self, name), name, 10 * LARGEST)
+            if distances.ndim != 1 or not distances.size or distances.min() < 0:
+                raise ContractError(
+                    f"{name}: shape {distances.shape}, expected distances (N,) with N >= 1, none"
+                    " negative"
+                )
+            object.__setattr__(self, name, distances)
 
     @cached_property
     def ad_truth_to_estimate(self) -> float:
@@ -148,7 +165,7 @@ class SurfaceErrors:
                     " that its diameter is 0"
                 )
             parts.append(mean / surface.diameter)
-        return max(parts)
+        return checked_number(max(parts), "NAD, whose diameter is next to nothing", 0)
 
     def recall_counts(self, thresholds: ArrayLike) -> NDArray[np.int64]:
         """True points **strictly** nearer to the estimate than each threshold (metres)."""
@@ -169,7 +186,8 @@ class SurfaceErrors:
     def fscore(self, thresholds: ArrayLike) -> Array:
         """F: harmonic mean of precision and recall at each threshold (metres); its shape.
 
-        0 where precision or recall is 0.
+        0 where precision or recall is 0. Raises :class:`ContractError` for thresholds that are NaN,
+        infinite or negative.
         """
         p, r = self.precision(thresholds), self.recall(thresholds)
         both = (p > 0) & (r > 0)
@@ -177,7 +195,9 @@ class SurfaceErrors:
 
 
 def _count_below(distances: Array, thresholds: ArrayLike) -> NDArray[np.int64]:
-    limits = np.asarray(thresholds, dtype=np.float64)
+    limits = finite_array(thresholds, "thresholds (metres)")
+    if limits.size and limits.min() < 0:
+        raise ContractError(f"thresholds (metres): {limits.min():g}, expected none below 0")
     if limits.size <= 2:
         counts = [np.count_nonzero(distances < limit) for limit in limits.flat]
         return np.array(counts, dtype=np.int64).reshape(limits.shape)
@@ -202,7 +222,11 @@ def surface_errors(
         raise ContractError(
             "surface_errors: got one pose; give both (camera frame) or neither (object frame)"
         )
-    surface = estimate if isinstance(estimate, Surface) else Surface(np.asarray(estimate))
+    surface = (
+        estimate
+        if isinstance(estimate, Surface)
+        else Surface(finite_array(estimate, "estimated points"))
+    )
     to_own, to_other = surface.points, truth.points
     if truth_pose is not None and estimated_pose is not None:
         # each side is moved into the frame of the tree that it is searched in
@@ -224,6 +248,9 @@ def diameter(points: ArrayLike) -> float:
     """
     cloud = _points(points, "diameter")
     cloud = cloud - (cloud.min(axis=0) + cloud.max(axis=0)) / 2
+    reach = float(np.abs(cloud).max())
+    if 0 < reach < _SQUARES_VANISH:
+        return diameter(cloud / reach) * reach
     best = _walk(cloud)
     while len(cloud) > 64:
         size = len(cloud)

@@ -75,7 +75,10 @@ _BINARY = getattr(os, "O_BINARY", 0)
 def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
     """The content of a regular file of at most ``limit`` bytes; else :class:`DataError`."""
     with opened(path, limit) as file:
-        content = file.read(limit + 1)
+        size = os.fstat(file.fileno()).st_size  # reading sets aside as much as it is asked for
+        content = file.read(size + 1)
+        if len(content) > size:  # it grows, or the system does not know its size
+            content += file.read(limit + 1 - len(content))
     if len(content) > limit:
         raise DataError(f"{path}: it grows while it is read, at most {limit} bytes are read")
     return content

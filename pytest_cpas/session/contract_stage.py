@@ -111,10 +111,14 @@ class ContractStage:
 
     @functools.cached_property
     def _subject(self) -> MethodSubject:
-        method, samples = self.run.loaded(), smoke_samples(self.run)
+        method, samples = self.run.limited(self.run.loaded()), smoke_samples(self.run)
         further = further_samples(self.run, samples)
         return MethodSubject(
-            method, samples, further=further, seed=self.run.seed, fresh=self.run.fresh
+            method,
+            samples,
+            further=further,
+            seed=self.run.seed,
+            fresh=lambda: self.run.limited(self.run.fresh()),
         )
 
     def result(self, check: ContractCheck) -> ContractResult:

@@ -23,6 +23,7 @@ import time
 import warnings
 from argparse import Namespace
 from collections.abc import Generator, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -75,7 +76,9 @@ class Record:
     """
 
     def __init__(self) -> None:
-        self._page = mmap.mmap(-1, mmap.PAGESIZE)
+        self._page = mmap.mmap(-1, 2 * mmap.PAGESIZE)
+        #: Whether a parent waits for this process.
+        self.held = False
         self.adopt()
 
     def adopt(self) -> None:
@@ -86,6 +89,10 @@ class Record:
         """Note that an item began."""
         content = item.encode("utf-8", "replace")[: mmap.PAGESIZE - 32] + b"\0"
         self._write(32, content)
+
+    def expect(self, note: Path) -> None:
+        """Note in which file it is said if the run is ended because its time is over."""
+        self._write(mmap.PAGESIZE, os.fsencode(note) + b"\0")
 
     def interrupt(self) -> None:
         """Note that the run was interrupted, now."""
@@ -102,7 +109,13 @@ class Record:
     @property
     def item(self) -> str:
         """The item that began last; empty before the first."""
-        return self._page[32:].partition(b"\0")[0].decode("utf-8", "replace")
+        return self._page[32 : mmap.PAGESIZE].partition(b"\0")[0].decode("utf-8", "replace")
+
+    @property
+    def note(self) -> Path | None:
+        """The file of :meth:`expect`, if it is there."""
+        name = self._page[mmap.PAGESIZE :].partition(b"\0")[0]
+        return Path(os.fsdecode(name)) if name and os.path.isfile(name) else None
 
     @property
     def interrupted(self) -> float:
@@ -287,6 +300,7 @@ def hold(record: Record) -> None:
         if pid:
             _wait(pid, record, handed_on)
         _die_with(parent)
+        record.held = True
     record.adopt()
     if handler is not None:
         signal.signal(signal.SIGCHLD, handler)
@@ -347,6 +361,13 @@ def _end(status: int, record: Record) -> NoReturn:
     """End as the child did, but not with 0 if that would be untrue; say what is known of it."""
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
+        if number == signal.SIGKILL and (note := record.note):
+            # what ended it has said why
+            with contextlib.suppress(OSError):
+                note.unlink()
+                note.parent.rmdir()
+            _say("a time limit has ended pytest; no verdict was told; the exit status is 1")
+            os._exit(int(pytest.ExitCode.TESTS_FAILED))
         if record.status is None:
             hint = " (out of memory?)" if number == signal.SIGKILL else ""
             _say(f"pytest was ended by {_name(number)}{hint}{_where(record)}; no verdict was told")

@@ -18,7 +18,7 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas.documents import RunDocument
-from pytest_cpas.evaluation import MethodRun, ResultsError, Run
+from pytest_cpas.evaluation import Limit, MethodRun, ResultsError, Run
 from pytest_cpas.golden import orphans
 from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
@@ -39,6 +39,7 @@ from pytest_cpas.session.suite_session import (
     report_outcome,
     usage_errors,
 )
+from pytest_cpas.session.time_limit import sample_seconds, time_limit
 from pytest_cpas.types import ContractError, Verdict
 
 __all__ = ["ITEM_RESULT", "CpasSession", "cpas_session"]
@@ -77,6 +78,7 @@ class CpasSession(SuiteSession):
                     config.invocation_params.dir,
                     config.rootpath,
                 ),
+                timeout=sample_seconds(config),
             )
             runs = resolve_runs(options)
             files = open_results(options, runs)
@@ -90,12 +92,37 @@ class CpasSession(SuiteSession):
             lists=functools.partial(shows_samples, config),
         )
         self._progress = watch(config, runs, {run: c.rows for run, c in self.collected.items()})
+        if options.timeout is not None:
+            self._limit_time(options.timeout)
         self._with_contract: set[Run] = set()
         self._failed_items = 0
         self._selected: set[str] = set()
         self._documents: list[RunDocument] = []
         self._listed: set[str] = set()
         self._report: Path | None = None
+
+    def _limit_time(self, seconds: float) -> None:
+        """Have this process ended by a prediction that takes longer."""
+        if not self.is_controller:
+            kept = "Other samples go on in other processes"
+        elif self.options.results is not None:
+            kept = (
+                f"The rows of items that ended are kept in {self.options.results}: the same command"
+                " goes on from there"
+            )
+        else:
+            kept = (
+                "No row is kept without --cpas-results DIR; with it, the same command goes on"
+                " where it was ended"
+            )
+        for index, run in enumerate(self.runs):
+            if isinstance(run, MethodRun):
+                run.limit = Limit(
+                    watchdog=time_limit(self.config).watchdog,
+                    seconds=seconds,
+                    hint=f"{kept}. If the method may take longer, raise --cpas-timeout",
+                    about={"run": index},
+                )
 
     @property
     def runs(self) -> list[Run]:

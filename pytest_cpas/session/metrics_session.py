@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from typing import Any
 
@@ -10,16 +11,21 @@ import pytest
 from pytest_cpas.checks.known import KnownFailure
 from pytest_cpas.checks.metrics import PROPERTIES, Result, Subject, load_subject
 from pytest_cpas.checks.metrics.recorded import known_of, record
-from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
+from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES, DEFAULT_TIME_LIMIT
 from pytest_cpas.checks.outcome import Outcome
+from pytest_cpas.evaluation import can_watch
 from pytest_cpas.registry import RegistryError
 from pytest_cpas.report.metrics_matrix import Cell, aligned, as_table, write_matrix
 from pytest_cpas.report.terminal import Terminal
 from pytest_cpas.session.options import MetricsOptions
 from pytest_cpas.session.suite_session import SuiteSession, usage_errors
+from pytest_cpas.session.time_limit import time_limit
 from pytest_cpas.types import ContractError
 
 __all__ = ["RESULT", "MetricsSession"]
+
+#: Seconds after which a property ends the process: five times what it has until its calls end.
+LONGEST = 5 * DEFAULT_TIME_LIMIT
 
 #: Where an item keeps its result, and whether that is the one that was recorded.
 RESULT = pytest.StashKey[tuple[Result, bool]]()
@@ -38,12 +44,21 @@ class MetricsSession(SuiteSession):
             self._known: dict[str, dict[str, KnownFailure]] = {
                 subject.name: known_of(subject.name) for subject in self.subjects
             }
+        self._watchdog = time_limit(config).watchdog if can_watch() else None
         self._matrix: dict[str, dict[str, Cell]] = {subject.name: {} for subject in self.subjects}
 
     @property
     def examples(self) -> int:
         """Examples per property."""
         return self.options.examples or DEFAULT_EXAMPLES
+
+    def within_time(self, subject: Subject, name: str) -> AbstractContextManager[None]:
+        """What a property is checked in: compiled code that does not even return when the time of
+        the property is over ends the process."""
+        if self._watchdog is None:
+            return nullcontext()
+        hint = "It was in compiled code, or waited there, which nothing else interrupts"
+        return self._watchdog.watch(f"{subject.name}: {name}", LONGEST, hint=hint)
 
     def known_failure(self, subject: Subject, name: str) -> KnownFailure | None:
         """The recorded violation of a property, unless violations are recorded anew."""

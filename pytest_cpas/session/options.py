@@ -30,7 +30,8 @@ class RunOptions:
     Paths are as they are opened. ``golden`` is the folder of golden tables; ``seeds`` counts the
     seeds that each sample is judged under, from ``seed`` on; ``alarm`` is the probability of a
     false alarm against a golden table of several seeds; ``protocols``: what is judged under, the
-    paper's if None; ``reuse_any``: whether rows in ``results``
+    paper's if None; ``timeout``: seconds that a prediction may take per sample, None for any;
+    ``reuse_any``: whether rows in ``results``
     serve that another program computed; ``others`` are the files of the runs to compare with.
     """
 
@@ -53,6 +54,7 @@ class RunOptions:
     require_golden: Required = False
     alarm: float = ALARM
     protocols: Sequence[Protocol] | None = None
+    timeout: float | None = None
     results: Path | None = None
     reuse_any: bool = False
     report: Path | None = None
@@ -67,6 +69,7 @@ class RunOptions:
         golden: Path,
         alarm: float = ALARM,
         protocols: Sequence[Protocol] | None = None,
+        timeout: float | None = None,
     ) -> RunOptions:
         """From the options of :mod:`pytest_cpas.plugin` (and syrupy's ``--snapshot-update``).
 
@@ -96,6 +99,7 @@ class RunOptions:
             require_golden=options.cpas_require_golden,
             alarm=alarm,
             protocols=protocols,
+            timeout=timeout,
             results=_path(here, options.cpas_results),
             reuse_any=options.cpas_results_reuse == "any",
             report=_path(here, options.cpas_report),

@@ -32,10 +32,11 @@ def test_metric(subject: Subject, prop: Property, request: pytest.FixtureRequest
     """The property holds; a recorded violation still happens."""
     session = _session(request.config)
     known = session.known_failure(subject, prop.name)
-    if known is None:
-        result = check(subject, prop, seed=session.options.seed, examples=session.examples)
-    else:
-        result = replay(subject, prop, known.case)
+    with session.within_time(subject, prop.name):
+        if known is None:
+            result = check(subject, prop, seed=session.options.seed, examples=session.examples)
+        else:
+            result = replay(subject, prop, known.case)
     as_recorded = known is not None and result.outcome is known.outcome
     request.node.stash[RESULT] = (result, as_recorded)
     if result.outcome is Outcome.NOT_OFFERED and known is None:

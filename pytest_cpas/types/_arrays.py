@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import sys
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,18 @@ from pytest_cpas.types.errors import ContractError
 
 Array = NDArray[np.float64]
 
-#: Largest magnitude of a coordinate or a length, metres, and smallest side of a box: products of
-#: eight of them are numbers still. What is beyond is a slip of a unit, or of a network.
+#: How many times a box may be as long as it is thin.
+LARGEST_RATIO = 1e15
+
+#: Largest magnitude of a coordinate or a length that enters, metres, and smallest side of a box.
+#: What is beyond is a slip of a unit, or of a network; these fit into single precision.
 LARGEST, SMALLEST_SIDE = 1e30, 1e-30
+
+#: The same for the metrics of poses and boxes: products of three of them are numbers still.
+LARGEST_OF_METRICS, SMALLEST_OF_METRICS = 1e100, 1e-100
+
+#: Largest finite number.
+MAX = sys.float_info.max
 
 
 def finite_array(value: ArrayLike, what: str, most: float = LARGEST) -> Array:
@@ -80,12 +90,31 @@ def _as_real(array: NDArray[Any], what: str) -> Array:
 def checked_extents(value: ArrayLike) -> Array:
     """Three positive side lengths, metres, as of :func:`frozen_array`."""
     extents = frozen_array(value, (3,), "extents (metres)")
-    if extents.min() < SMALLEST_SIDE:
-        raise ContractError(
-            f"extents: {extents.tolist()}, expected three positive side lengths in metres (a"
-            " negative one often comes from a mirrored axis or an unclamped network output)"
-        )
+    check_sides(extents, "extents (metres)")
     return extents
+
+
+def check_sides(extents: Array, what: str, shortest: float = SMALLEST_SIDE) -> None:
+    """Raise :class:`ContractError` unless all (..., 3) are side lengths of boxes: at least
+    ``shortest``, and of a box none more than :data:`LARGEST_RATIO` times another."""
+    if not extents.size:
+        return
+    least = extents.min()
+    if least < shortest:
+        worst = extents.reshape(-1, 3)[extents.min(axis=-1).argmin()]
+        raise ContractError(
+            f"{what}: {worst.tolist()}, expected three positive side lengths, at least"
+            f" {shortest:g} (a negative one often comes from a mirrored axis or an unclamped"
+            " network output)"
+        )
+    if extents.max() > LARGEST_RATIO * least:  # perhaps of different boxes
+        ratios = extents.max(axis=-1) / extents.min(axis=-1)
+        if ratios.max() > LARGEST_RATIO:
+            worst = extents.reshape(-1, 3)[ratios.argmax()]
+            raise ContractError(
+                f"{what}: {worst.tolist()}, one side is {ratios.max():.3g} times another, at most"
+                f" {LARGEST_RATIO:g}: of thinner boxes rounding is all that a volume shows"
+            )
 
 
 def checked_number(
@@ -96,7 +125,10 @@ def checked_number(
     A NumPy scalar, an array or a tensor of one element and no dimension counts as a number.
     """
     try:
-        if isinstance(value, bool | str | bytes) or getattr(value, "shape", ()) != ():
+        kind = getattr(getattr(value, "dtype", None), "kind", "f")  # of what is NumPy's
+        if isinstance(value, bool | str | bytes | complex) or kind not in "iufO":
+            raise TypeError
+        if getattr(value, "shape", ()) != ():
             raise TypeError
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):

@@ -44,6 +44,7 @@ ELSEWHERE = {
     "cpas_alarm": "ini cpas_alarm, else 1/1000",
     "cpas_examples": str(DEFAULT_EXAMPLES),
     "cpas_golden": "ini cpas_golden, else golden/ in the root directory",
+    "cpas_timeout": "ini cpas_timeout, else any time",
 }
 
 

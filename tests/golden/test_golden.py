@@ -163,13 +163,9 @@ def test_half_a_table_is_refused(tmp_path):
     folder = record(tmp_path / "a", GOLDEN)
     other = record(tmp_path / "b", table(s_03=9))
     before = {name: (folder / name).read_bytes() for name in FILES}
-    for name, told in (
-        ("facts.csv", r"facts\.csv is not the file that run\.toml was made with"),
-        ("run.toml", r"facts\.csv is not the file that run\.toml was made with"),
-        ("cpas.toml", r"cpas\.toml is not what follows from facts\.csv"),
-    ):
+    for name in FILES:
         (folder / name).write_bytes((other / name).read_bytes())
-        with pytest.raises(GoldenError, match=told):
+        with pytest.raises(GoldenError, match=r"\.(toml|csv) is not what follows from facts\.csv"):
             read_golden(folder)
         (folder / name).write_bytes(before[name])
     assert read_golden(folder) == GOLDEN

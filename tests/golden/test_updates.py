@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tables import GOLDEN, REFS, Fixed, a_row, a_run, rows, table, with_facts
+from tables import GOLDEN, REFS, Fixed, a_run, rows, table, with_facts
 
 from pytest_cpas.golden import GoldenError, RunTable, read_golden, record
 from pytest_cpas.golden.comparison import Word, compare
@@ -54,7 +54,7 @@ def changed_lines(folder: Path, update: RunTable) -> dict[str, list[str]]:
         ({"iou": None}, True),
         # below any tolerance, but on the other side of a limit
         ({"rotation_deg": 5 + 1e-9}, True),
-        ({"fscore_1cm": 0.0}, True),
+        ({"fscore_1cm": float("-inf")}, True),
     ],
 )
 def test_line_is_rewritten_only_if_something_happened(tmp_path, facts, rewritten):
@@ -73,7 +73,9 @@ def test_line_is_rewritten_only_if_something_happened(tmp_path, facts, rewritten
 
 def test_failure_that_is_told_otherwise_is_rewritten(tmp_path):
     def failing(reason):
-        return a_row("s/03", "mug", failure=reason)
+        (row,) = (row for row in rows() if row.sample == "s/03")
+        (answer,) = row.answers
+        return replace(row, answers=(replace(answer, failure=reason),))
 
     folder = record(tmp_path, of(failing("too dark")))
     written = changed_lines(folder, of(failing("too small")))
@@ -97,7 +99,7 @@ def test_update_of_a_category_writes_its_lines_alone(tmp_path):
         *('5deg_1cm = "4/5"', '5deg_1cm_f80 = "4/5"', '5deg_5cm = "4/5"')
     ]
     assert [line.split()[0] for line in written["run.toml"]] == [
-        *("facts", '[categories."mug".provenance]', "code")
+        *("digest", '[categories."mug".provenance]', "code")
     ]
     read = read_golden(folder)
     assert read.provenance_of("can") == {"code": "1"}

@@ -166,14 +166,14 @@ class TestProtocol:
             assert sorted(detections.pairs.tolist()) == sorted([i, o] for i, o in enumerate(order))
 
     def test_refusals(self) -> None:
-        with pytest.raises(ContractError, match="score is NaN"):
+        with pytest.raises(ContractError, match="scores: 1 of 1 values are NaN"):
             Detections([0], [1], [np.nan], [0], [1], [1])
         with pytest.raises(ContractError, match="of the predictions"):
             Detections([0, 1], [1], [0.5], [0], [1], [1])
         detections = Detections([0], [1], [0.5], [0], [1], [1])
         with pytest.raises(ContractError, match=r"expected \(1,\)"):
             detections.iou_ap([0.5, 0.5], 0.5)
-        with pytest.raises(ContractError, match="without NaN"):
+        with pytest.raises(ContractError, match="1 of 1 values are NaN"):
             detections.pose_ap([np.nan], [0.0], 5, 0.05)
 
 

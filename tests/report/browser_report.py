@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 
 import pytest
 
-from pytest_cpas.evaluation import Run
+from pytest_cpas.evaluation import Row, Run
 from pytest_cpas.golden import RunTable, find_golden, shipped_golden
 from pytest_cpas.golden.comparison import compare
 from pytest_cpas.report.against import against

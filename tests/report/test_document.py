@@ -5,6 +5,7 @@ import math
 from made_documents import a_document
 from tables import GOLDEN, a_run, a_speed, rows
 
+from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable
 from pytest_cpas.golden.published import published_name
 from pytest_cpas.report.markdown import markdown

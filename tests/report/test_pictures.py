@@ -11,7 +11,7 @@ from made_documents import a_run_document
 from PIL import Image
 
 from pytest_cpas.datasets.nocs import Real275
-from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.evaluation import MethodRun, Row
 from pytest_cpas.evaluation.estimates import encode_estimate, encode_shape
 from pytest_cpas.report.document import document
 from pytest_cpas.report.page import page

@@ -13,6 +13,7 @@ from report_schema import follow_schema
 from tables import REFS, Fixed, a_run, rows
 
 from pytest_cpas.cli import main
+from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document

@@ -7,6 +7,7 @@ import pytest
 from report_schema import follow_schema
 from tables import Fixed, a_speed
 
+from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.report.curves import charts as curve_charts
 from pytest_cpas.report.curves import curve_lines

@@ -48,7 +48,8 @@ def time_limit(seconds: float) -> Iterator[None]:
     """End calls of an implementation when ``seconds`` have passed, with :class:`Finding`.
 
     A call is interrupted where signals exist (POSIX, main thread), and again and again if it
-    swallows that; elsewhere, and in compiled code, the limit is noticed when the call returns.
+    swallows that; elsewhere, and in compiled code, the limit is noticed when the call returns. A
+    call that never does is for :mod:`pytest_cpas.evaluation.watchdog`, which ends the process.
     """
     _Timer.seconds, _Timer.expired = seconds, False
     if not hasattr(signal, "SIGALRM") or threading.current_thread() is not threading.main_thread():

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from urllib.parse import urlencode
 
 from pytest_cpas.documents import FlipDocument, ItemOutcome, RunName
+from pytest_cpas.reading.text import html
 from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.messages import flip_message, outcome_message, run_title
 
@@ -55,5 +56,6 @@ def flip_table(flips: Sequence[FlipDocument], every: int) -> Iterator[Element]:
 
 def sample_link(count: int, run: RunName, verdict: str) -> Child:
     """How many samples of a run have a verdict, as a link to the list of them."""
-    there = "#" + urlencode({"run": run_title(run), "verdict": verdict})
+    # the run as the script lists it
+    there = "#" + urlencode({"run": html(run_title(run)), "verdict": verdict})
     return [element("a", f"{count} {verdict}", href=there), " "]
