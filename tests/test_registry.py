@@ -101,7 +101,7 @@ def make(data_dir):
     raise {error}("the drive is not mounted")
 """
     distribution("lab", "", lab_words=text)
-    with pytest.raises(Exception, match="^the drive is not mounted$") as raised:
+    with pytest.raises(Exception, match=r"^the drive is not mounted$") as raised:
         registry.open_dataset("lab_words:make", None)
     assert raised.type.__name__ == error
 
