@@ -10,6 +10,7 @@ from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.merging import MergedRun, merge
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
 from pytest_cpas.evaluation.predictions import StoredRun, assign_detections, read_frames
+from pytest_cpas.evaluation.program import found_programs, take_programs
 from pytest_cpas.evaluation.results import (
     Header,
     Results,
@@ -59,6 +60,7 @@ __all__ = [
     "encode_estimate",
     "encode_shape",
     "failed_row",
+    "found_programs",
     "measure",
     "merge",
     "outcomes",
@@ -66,4 +68,5 @@ __all__ = [
     "precision_table",
     "read_frames",
     "read_results",
+    "take_programs",
 ]

@@ -18,7 +18,14 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas.documents import RunDocument
-from pytest_cpas.evaluation import Limit, MethodRun, ResultsError, Run
+from pytest_cpas.evaluation import (
+    Limit,
+    MethodRun,
+    ResultsError,
+    Run,
+    found_programs,
+    take_programs,
+)
 from pytest_cpas.golden import orphans
 from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
@@ -47,6 +54,9 @@ __all__ = ["ITEM_RESULT", "CpasSession", "cpas_session"]
 #: Where an item keeps what it found out.
 ITEM_RESULT = pytest.StashKey[ItemResult]()
 
+#: Where a worker's input has the programs of its methods and data sets.
+_PROGRAMS = "cpas_programs"
+
 
 class CpasSession(SuiteSession):
     """The hooks of a run, and the objects between which they pass on what there is.
@@ -60,6 +70,7 @@ class CpasSession(SuiteSession):
     def __init__(self, config: pytest.Config) -> None:
         """Resolve methods, data sets and predictions; :class:`pytest.UsageError` if that fails."""
         super().__init__(config, "test_samples.py", "cpas")
+        take_programs(getattr(config, "workerinput", {}).get(_PROGRAMS, {}))
         with usage_errors(
             registry.RegistryError,
             ContractError,
@@ -115,6 +126,11 @@ class CpasSession(SuiteSession):
                     hint=f"{kept}. If the method may take longer, raise --cpas-timeout",
                     about={"run": index},
                 )
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: Any) -> None:
+        """Spare a worker the search for the programs that the controller has found."""
+        node.workerinput[_PROGRAMS] = found_programs()
 
     @property
     def runs(self) -> list[Run]:
