@@ -1,6 +1,7 @@
 """Method times data set gives rows, one per sample; rows give the table."""
 
 from pytest_cpas.evaluation.estimates import (
+    Estimates,
     decode_estimates,
     decode_shape,
     encode_estimate,
@@ -36,6 +37,7 @@ __all__ = [
     "DEFINITIONS",
     "FSCORE_DISTANCE",
     "THRESHOLDS",
+    "Estimates",
     "Header",
     "Limit",
     "MergedRun",

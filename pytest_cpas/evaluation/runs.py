@@ -13,7 +13,7 @@ import scipy
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation.rows import DEFINITIONS, Row
-from pytest_cpas.types import GroundTruth, MethodInfo, SampleRef
+from pytest_cpas.types import DataError, GroundTruth, MethodInfo, SampleRef
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
 
@@ -78,9 +78,13 @@ class Run(ABC):
         damaged: Sequence[str] = (),
         identity: Mapping[str, str],
     ) -> None:
-        """List ``samples``, and select some of them (all if ``selection`` is None)."""
+        """List ``samples``, and select some of them (all if ``selection`` is None).
+
+        Raises :class:`DataError` if two of them have the same id.
+        """
         self.method = checked_name("method", method)
         self.dataset = checked_name("data set", dataset)
+        _check_ids(self.dataset, samples)
         self.listed = Counter(sample.category for sample in samples)
         self.samples = (selection or Selection()).of(samples)
         self.missing, self.damaged = missing, damaged
@@ -93,3 +97,12 @@ class Run(ABC):
     def truth(self, ref: SampleRef) -> GroundTruth | None:
         """The truth about one sample; None where only its row is left."""
         return None
+
+
+def _check_ids(dataset: str, samples: Sequence[SampleRef]) -> None:
+    counts = Counter(sample.id for sample in samples)
+    if repeated := [name for name, count in counts.items() if count > 1]:
+        raise DataError(
+            f"data set {dataset}: {len(repeated)} sample ids occur more than once, first"
+            f" {repeated[0]!r}, {counts[repeated[0]]} times; every sample needs an id of its own"
+        )

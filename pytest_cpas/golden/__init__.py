@@ -7,11 +7,12 @@ the counts are checked against them on reading. What a table says about a run is
 :mod:`pytest_cpas.golden.comparison`.
 """
 
-from pytest_cpas.golden.comparison import Word, compare
+from pytest_cpas.golden.comparison import Word, compare, detectable_flips
 from pytest_cpas.golden.files import find_golden, orphans, read_golden, record, shipped_golden
 from pytest_cpas.golden.jitter import recorded_words
 from pytest_cpas.golden.published import (
     PublishedCell,
+    PublishedTime,
     compare_published,
     count_problems,
     published_cells,
@@ -19,6 +20,7 @@ from pytest_cpas.golden.published import (
     published_datasets,
     published_methods,
     published_name,
+    published_sample_counts,
     published_time,
 )
 from pytest_cpas.golden.spread import ALARM
@@ -37,6 +39,7 @@ __all__ = [
     "FORMAT",
     "GoldenError",
     "PublishedCell",
+    "PublishedTime",
     "RunTable",
     "TableSample",
     "Verdict",
@@ -44,6 +47,7 @@ __all__ = [
     "compare",
     "compare_published",
     "count_problems",
+    "detectable_flips",
     "differences",
     "find_golden",
     "orphans",
@@ -53,6 +57,7 @@ __all__ = [
     "published_datasets",
     "published_methods",
     "published_name",
+    "published_sample_counts",
     "published_time",
     "read_golden",
     "record",
