@@ -150,8 +150,8 @@ def _more_seeds_needed(run: Run, golden: RunTable) -> list[str]:
         return []
     return [
         f"note: {run.method} declares deterministic=False, and the golden table is of one seed,"
-        " beside which no flip is allowed; record the spread of several:"
-        " --cpas-jitter 10 --snapshot-update"
+        " beside which no flip is allowed; record several seeds of the same program (--cpas-jitter"
+        " 10 --snapshot-update)"
     ]
 
 
