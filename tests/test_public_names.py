@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import pytest_cpas
-from pytest_cpas import adapting, metrics, similarity, stages, types
+from pytest_cpas import adapting, metrics, reading, similarity, stages, types
 from pytest_cpas._deprecation import MOVED, deprecated
 
 ROOT = Path(__file__).parents[1]
@@ -67,6 +67,9 @@ def test_adapting_hands_out_the_same_objects():
         stages,
         similarity,
         metrics,
+        reading.arrays,
+        reading.checkpoints,
+        reading.structured,
         importlib.import_module("pytest_cpas._open3d"),
     )
     for name in adapting.__all__:
