@@ -52,6 +52,7 @@ ARROWS: Mapping[str, set[str]] = {
         "diagnosis",
         "golden",
         "protocols",
+        "facts",
         "evaluation",
         "datasets",
         "metrics",
