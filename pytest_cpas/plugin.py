@@ -7,6 +7,7 @@ given: people install this plugin beside unrelated projects.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 from typing import TYPE_CHECKING
 
@@ -58,6 +59,10 @@ EXAMPLES: Mapping[str, str] = {
     "--cpas-metrics": "--cpas-metrics cpas",
     "--cpas-check-dataset": "--cpas-check-dataset synthetic-tabletop",
 }
+
+
+#: The values of options that need none. They follow an equals sign: a word of its own is a path.
+OPTIONAL_VALUES: Mapping[str, tuple[str, ...]] = {"--cpas-require-golden": ("strict",)}
 
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
@@ -357,6 +362,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if options.help or options.version:
         return
     _check_needs(config)
+    _check_optional_values(config)
     if (
         options.cpas_method
         or options.cpas_dataset
@@ -395,6 +401,18 @@ def _check_needs(config: pytest.Config) -> None:
     ]
     if vain:
         raise pytest.UsageError("\n".join(vain))
+
+
+def _check_optional_values(config: pytest.Config) -> None:
+    """Refuse a value that stands as a word of its own, unless there is such a path."""
+    words = [str(argument) for argument in config.invocation_params.args]
+    for option, value in itertools.pairwise(words):
+        is_path = (config.invocation_params.dir / value).exists()
+        if value in OPTIONAL_VALUES.get(option, ()) and not is_path:
+            raise pytest.UsageError(
+                f"{option} {value}: pytest takes {value} for the path of a test; write"
+                f" {option}={value}"
+            )
 
 
 def _destination(option: str) -> str:

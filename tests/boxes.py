@@ -1,4 +1,4 @@
-"""Objects of several sizes, and methods whose boxes are wrong; copied beside the run that uses them.
+"""Objects of several sizes, and methods whose boxes are wrong; copied beside the run of them.
 
 All else of what they answer is right: nothing but the IoU shows it.
 """

@@ -1,4 +1,4 @@
-"""Golden tables in the form of version 1, as its writer made them; nothing of ours writes it now."""
+"""Golden tables in the form of version 1, as its writer made them."""
 
 import csv
 import hashlib

@@ -24,7 +24,7 @@ ARROWS: Mapping[str, set[str]] = {
     "documents": {"types"},
     "metrics": {"types"},
     "reading": {"types"},
-    "adapting": {"_open3d", "metrics", "similarity", "stages", "types"},
+    "adapting": {"_open3d", "metrics", "reading", "similarity", "stages", "types"},
     "registry": {"types"},
     "datasets": {"reading", "similarity", "types", "_files", "_open3d"},
     "facts": {"metrics", "types"},

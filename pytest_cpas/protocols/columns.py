@@ -159,6 +159,16 @@ class Protocol:
         """From the content of a TOML file; :class:`ProtocolError` names ``where`` and what."""
         return _Parser(content, where).protocol()
 
+    def declared(self) -> dict[str, object]:
+        """As a file has it."""
+        return {
+            "name": self.name,
+            "version": self.version,
+            "title": self.title,
+            "source": self.source,
+            "columns": [column.declared() for column in self.columns],
+        }
+
     @property
     def counts(self) -> list[CountColumn]:
         """The columns that count samples."""
@@ -186,6 +196,8 @@ class _Parser:
 
     def text(self, section: Mapping[str, object], key: str, default: str | None = None) -> str:
         value = section.get(key, default)
+        if value is None:
+            raise self.fail(f"{key} is missing, expected a line of text")
         if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
             raise self.fail(f"{key} is {str(value)[:80]!r}, expected a line of text")
         return value

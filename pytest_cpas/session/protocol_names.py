@@ -54,14 +54,15 @@ def _resolve(name: str, here: Path, root: Path) -> Protocol:
         where = f"{root / 'pyproject.toml'}, [tool.pytest-cpas.protocols.{name}]"
         if name in shipped_protocols():
             raise ProtocolError(f"{where}: it is the name of one that ships; choose another")
-        return Protocol.parse({"name": name, **own[name]}, where)
+        return _named(name, Protocol.parse({"name": name, **own[name]}, where), where)
     if name in shipped_protocols():
         return shipped_protocol(name)
     if name in _registered():
         made = registry.resolve("protocol", name)
         if not isinstance(made, Protocol):
             raise ProtocolError(f"protocol {name!r}: {made!r} is no pytest_cpas.protocols.Protocol")
-        return made
+        where = f"protocol {name!r}"
+        return _named(name, Protocol.parse(made.declared(), where), where)
     known = [*shipped_protocols(), *own, *_registered()]
     close = difflib.get_close_matches(name, known, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""
@@ -69,6 +70,13 @@ def _resolve(name: str, here: Path, root: Path) -> Protocol:
         f"unknown protocol {name!r}.{hint} There are {', '.join(known)} (pytest --cpas-list); your"
         " own is a .toml file, or [tool.pytest-cpas.protocols.NAME] in pyproject.toml"
     )
+
+
+def _named(name: str, protocol: Protocol, where: str) -> Protocol:
+    """A protocol, if it is called as it is asked for."""
+    if protocol.name != name:
+        raise ProtocolError(f"{where}: name is {protocol.name!r}, expected {name!r}")
+    return protocol
 
 
 def _registered() -> list[str]:
@@ -84,7 +92,11 @@ def _declared(root: Path) -> Mapping[str, Mapping[str, Any]]:
         content = read_toml(path)
     except DataError as error:
         raise ProtocolError(str(error)) from error
-    declared = content.get("tool", {}).get("pytest-cpas", {}).get("protocols", {})
-    if not isinstance(declared, dict) or not all(isinstance(v, dict) for v in declared.values()):
+    declared: dict[str, Any] = content
+    for key in ("tool", "pytest-cpas", "protocols"):
+        declared = declared.get(key, {})
+        if not isinstance(declared, dict):
+            raise ProtocolError(f"{path}: {key} must be a table")
+    if not all(isinstance(content, dict) for content in declared.values()):
         raise ProtocolError(f"{path}: [tool.pytest-cpas.protocols] must hold tables")
     return declared

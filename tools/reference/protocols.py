@@ -56,7 +56,7 @@ def facts() -> str:
 
 
 def golden_file(name: str) -> str:
-    """A file of the golden table of a made-up run of two samples, under a protocol of one column."""
+    """A file of the golden table of a made-up run of two samples, under one column."""
     return block(table_texts(_golden())[name], name.rpartition(".")[2])
 
 

@@ -1,0 +1,157 @@
+"""Facts in, judgements out: against the metrics' own functions."""
+
+import math
+
+import numpy as np
+import pytest
+
+from pytest_cpas.facts import fact
+from pytest_cpas.metrics.precision import (
+    PAPER_THRESHOLDS,
+    Count,
+    Errors,
+    JointThreshold,
+    count,
+    iou_auc,
+    pose_vus,
+)
+from pytest_cpas.protocols import (
+    Protocol,
+    Score,
+    count_columns,
+    count_table,
+    judge_outcomes,
+    score_columns,
+    score_table,
+    shipped_protocol,
+)
+
+#: What the facts of a column are called as limits of a joint threshold.
+LIMITS = {
+    "position_m": "position_m",
+    "rotation_deg": "rotation_deg",
+    "iou": "iou",
+    "fscore_1cm": "fscore",
+    "nad": "nad",
+}
+
+
+def random_facts(count: int, *, known: bool = False) -> list[dict[str, float | None]]:
+    """Of answers good and bad, on the limits, n/a in places and failed in others."""
+    rng = np.random.default_rng(0)
+    drawn = {
+        "position_m": rng.choice([0.0, 0.01, 0.02, 0.05, *rng.uniform(0, 0.06, 20)], count),
+        "rotation_deg": rng.choice([0.0, 5.0, 10.0, *rng.uniform(0, 15, 20)], count),
+        "iou": rng.choice([0.0, 0.25, 0.5, 0.75, 1.0, *rng.uniform(0, 1, 20)], count),
+        "fscore_1cm": rng.choice([0.0, 0.6, 0.8, 1.0, *rng.uniform(0, 1, 20)], count),
+        "nad": rng.uniform(0, 0.3, count),
+    }
+    facts: list[dict[str, float | None]] = []
+    for index in range(count):
+        failed = rng.random() < 0.1
+        facts.append(
+            {
+                name: fact(name).failed
+                if failed
+                else None
+                if rng.random() < 0.15 and not known
+                else float(values[index])
+                for name, values in drawn.items()
+            }
+        )
+    return facts
+
+
+def test_counts_are_those_of_the_metrics():
+    facts = random_facts(500)
+    columns = count_columns([shipped_protocol("cpas")])
+    table = count_table(columns, [("mug", outcome) for outcome in judge_outcomes(columns, facts)])
+    errors = Errors.from_rows(
+        [{LIMITS[name]: value for name, value in given.items()} for given in facts]
+    )
+    for column in columns:
+        names = {name: LIMITS[name] for name in column.limits}
+        threshold = JointThreshold(**{_argument(names[n]): v for n, v in column.limits.items()})
+        expected = count(errors, threshold)
+        assert expected is not None
+        assert 0 < expected.correct < expected.total < 500
+        assert table["mug"][column.key] == table["all"][column.key] == expected
+
+
+def _argument(limit: str) -> str:
+    return limit
+
+
+def test_read_columns_are_the_thresholds_of_the_paper():
+    read = [column for column in shipped_protocol("cpas").counts if not column.guard]
+    assert [column.label for column in read] == [each.label for each in PAPER_THRESHOLDS]
+    for column, threshold in zip(read, PAPER_THRESHOLDS, strict=True):
+        assert {LIMITS[name]: v for name, v in column.limits.items()} == dict(threshold.limits)
+
+
+def test_scores_are_those_of_the_metrics():
+    facts = random_facts(300, known=True)
+    protocol = shipped_protocol("omni6dpose")
+    (table,) = {"x": score_table(score_columns([protocol]), ["mug"] * 300, facts)}.values()
+    column = {name: [given[name] for given in facts] for name in facts[0]}
+    seen = 0
+    for score in protocol.scores:
+        bins = score.bins or None
+        if set(score.areas) == {"iou"}:
+            expected = iou_auc(column["iou"], score.areas["iou"][0], bins=bins)
+        else:
+            ends = score.areas["rotation_deg"][1], score.areas["position_m"][1]
+            expected = pose_vus(column["rotation_deg"], column["position_m"], *ends, bins=bins)
+        found = table["mug"][score.key]
+        assert found is not None
+        assert found.samples == 300
+        assert found.value == pytest.approx(expected, abs=1e-12)
+        assert 0 < found.value < 1
+        seen += 1
+    assert seen == 14
+
+
+def test_scores_are_of_those_that_are_known():
+    facts = random_facts(200)
+    (column,) = shipped_protocol("cpas").scores
+    table = score_table([column], ["mug", "can"] * 100, facts)
+    for name, among in (("mug", facts[::2]), ("can", facts[1::2]), ("all", facts)):
+        known = [given["nad"] for given in among if given["nad"] is not None]
+        assert 0 < len(known) < len(among)
+        assert table[name][column.key] == Score(pytest.approx(np.median(known)), len(known))
+
+
+def test_what_is_known_of_nobody_is_no_score():
+    (column,) = shipped_protocol("cpas").scores
+    assert score_table([column], ["mug"], [{"nad": None}])["mug"] == {column.key: None}
+    assert score_table([column], ["mug"], [{}])["mug"] == {column.key: None}
+    assert score_table([column], [], []) == {}
+    failed = score_table([column], ["mug"], [{"nad": math.inf}])["mug"][column.key]
+    assert failed == Score(math.inf, 1)
+
+
+def test_counts_of_categories_and_of_what_is_not_applicable():
+    columns = count_columns([shipped_protocol("cpas")])
+    facts = [{"position_m": 0.01, "rotation_deg": 1.0}, {"position_m": 1.0, "rotation_deg": 1.0}]
+    outcomes = judge_outcomes(columns, facts)
+    assert outcomes == ["1-1-11-----", "0-0-00-----"]
+    table = count_table(columns, zip(["can", "mug"], outcomes, strict=True))
+    assert table["can"]["cpas.5deg_1cm"] == Count(1, 1)
+    assert table["all"]["cpas.5deg_1cm"] == Count(1, 2)
+    assert table["all"]["cpas.iou_25"] is None
+    assert judge_outcomes(columns, []) == []
+    assert judge_outcomes([], facts) == ["", ""]
+
+
+def test_thresholds_of_a_midpoint_sum_lie_in_the_middles():
+    """By counting them."""
+    content = {
+        "name": "x",
+        "columns": [{"id": "a", "area": {"iou": [0.2, 0.7]}, "bins": 7}],
+    }
+    columns = score_columns([Protocol.parse(content, "here")])
+    middles = 0.2 + 0.5 * (np.arange(7) + 0.5) / 7
+    for iou in np.random.default_rng(0).uniform(0, 1, 50):
+        (score,) = score_table(columns, ["mug"], [{"iou": iou}])["mug"].values()
+        assert score is not None
+        assert score.value == pytest.approx((middles < iou).mean(), abs=1e-12)
