@@ -48,6 +48,7 @@ ARROWS: Mapping[str, set[str]] = {
     "timing": {"documents", "golden", "evaluation", "reading", "stages", "types", "_files"},
     "report": {
         "documents",
+        "facts",
         "checks",
         "diagnosis",
         "golden",
