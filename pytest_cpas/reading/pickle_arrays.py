@@ -126,7 +126,7 @@ def _reconstruct(arguments: tuple[Any, ...], _: Budget) -> Unfilled | None:
     return None
 
 
-_CODES = {bytes: b"b", str: "b"}
+_CODES: dict[type, object] = {bytes: b"b", str: "b"}
 
 
 def _dtype(arguments: tuple[Any, ...], _: Budget) -> Dtype | None:
