@@ -81,6 +81,10 @@ EIGHT = binary(bytes(8))
 F8 = dtype("f8")
 ADDRESS = binary(struct.pack("P", id(os.system)))
 
+OBJECT = dtype("O", "|", (-1, -1, 63))
+F8_STATE = number(3) + text("<") + NONE * 3 + number(-1) + number(-1) + number(0)
+F8_ARRAY = tuple_of(number(1), tuple_of(number(1)), F8, FALSE, EIGHT)
+
 MADE_UP = {
     "object array over bytes": array((1,), dtype("O", "|", (-1, -1, 63)), ADDRESS),
     "object array over text": array((1,), dtype("O", "|", (-1, -1, 63)), text("x" * 8)),
@@ -130,6 +134,21 @@ MADE_UP = {
     "a code that is none": called(RECONSTRUCT, NDARRAY, tuple_of(number(0)), NONE),
     "an array as a code": called(
         RECONSTRUCT, NDARRAY, tuple_of(number(0)), array((2,), F8, binary(bytes(16)))
+    ),
+    "a dtype built twice": F8 + tuple_of(F8_STATE) + BUILD,
+    "a dtype of another version": called(DTYPE, text("f8"), FALSE, TRUE)
+    + tuple_of(number(2), F8_STATE[3:])
+    + BUILD,
+    "an array built twice": unfilled() + b"2" + (F8_ARRAY + BUILD + b"0") + F8_ARRAY + BUILD,
+    "too few objects": array((2,), OBJECT, b"]" + NONE + b"a"),
+    "too many objects": array((1,), OBJECT, b"]" + (NONE + b"a") * 2),
+    "an order that is none": called(
+        named("numpy._core.numeric", "_frombuffer"),
+        EIGHT,
+        F8,
+        tuple_of(number(1)),
+        text("A"),
+        tuple_of(number(0)),
     ),
     "never filled": unfilled(),
     "class that is none": called(RECONSTRUCT, DTYPE, tuple_of(number(0)), text("b")),
