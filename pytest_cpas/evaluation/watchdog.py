@@ -120,6 +120,7 @@ class Watchdog:
     def _started(self) -> int:
         if self._process is None:
             descriptor, dump = tempfile.mkstemp(prefix="pytest-cpas-stacks-")
+            self._dump_path = Path(dump)
             self._dump = os.fdopen(descriptor, "wb", buffering=0)
             command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("watching.py"))]
             command += [str(self._owner), str(int(self._number)), dump]
@@ -143,6 +144,8 @@ class Watchdog:
             process.wait()
         if dump is not None:
             dump.close()
+            # a watching process that was killed has left it
+            self._dump_path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, kw_only=True)

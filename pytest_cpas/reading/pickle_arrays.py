@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -126,7 +126,7 @@ def _reconstruct(arguments: tuple[Any, ...], _: Budget) -> Unfilled | None:
     return None
 
 
-_CODES: Mapping[type, object] = {bytes: b"b", str: "b"}
+_CODES: dict[type, object] = {bytes: b"b", str: "b"}
 
 
 def _dtype(arguments: tuple[Any, ...], _: Budget) -> Dtype | None:

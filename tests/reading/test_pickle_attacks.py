@@ -81,6 +81,10 @@ EIGHT = binary(bytes(8))
 F8 = dtype("f8")
 ADDRESS = binary(struct.pack("P", id(os.system)))
 
+OBJECT = dtype("O", "|", (-1, -1, 63))
+F8_STATE = number(3) + text("<") + NONE * 3 + number(-1) + number(-1) + number(0)
+F8_ARRAY = tuple_of(number(1), tuple_of(number(1)), F8, FALSE, EIGHT)
+
 MADE_UP = {
     "object array over bytes": array((1,), dtype("O", "|", (-1, -1, 63)), ADDRESS),
     "object array over text": array((1,), dtype("O", "|", (-1, -1, 63)), text("x" * 8)),
@@ -130,6 +134,21 @@ MADE_UP = {
     "a code that is none": called(RECONSTRUCT, NDARRAY, tuple_of(number(0)), NONE),
     "an array as a code": called(
         RECONSTRUCT, NDARRAY, tuple_of(number(0)), array((2,), F8, binary(bytes(16)))
+    ),
+    "a dtype built twice": F8 + tuple_of(F8_STATE) + BUILD,
+    "a dtype of another version": called(DTYPE, text("f8"), FALSE, TRUE)
+    + tuple_of(number(2), F8_STATE[3:])
+    + BUILD,
+    "an array built twice": unfilled() + b"2" + (F8_ARRAY + BUILD + b"0") + F8_ARRAY + BUILD,
+    "too few objects": array((2,), OBJECT, b"]" + NONE + b"a"),
+    "too many objects": array((1,), OBJECT, b"]" + (NONE + b"a") * 2),
+    "an order that is none": called(
+        named("numpy._core.numeric", "_frombuffer"),
+        EIGHT,
+        F8,
+        tuple_of(number(1)),
+        text("A"),
+        tuple_of(number(0)),
     ),
     "never filled": unfilled(),
     "class that is none": called(RECONSTRUCT, DTYPE, tuple_of(number(0)), text("b")),
@@ -397,14 +416,17 @@ BOMBS = {
     + b"q\x01"
     + (b"0" + called(named("_codecs", "encode"), b"h\x01", text("latin1"))) * 10_000,
     "truths looked at again and again": LARGE
+    + b"0"
     + dtype("b1", "|")
     + b"q\x02"
     + (b"0" + array((1 << 20,), b"h\x02", b"h\x01")) * 10_000,
     "text scalars again and again": LARGE
+    + b"0"
     + dtype(f"S{1 << 20}", "|", (1 << 20, 1, 0))
     + b"q\x02"
     + (b"0" + called(SCALAR, b"h\x02", b"h\x01")) * 10_000,
     "an array again and again": LARGE
+    + b"0"
     + array((1 << 20,), dtype("u1", "|"), b"h\x01")
     + b"q\x03"
     + b"0"
@@ -413,7 +435,7 @@ BOMBS = {
     + b"l",
     "object arrays again and again": MARK
     + NONE * 100_000
-    + b"lq\x01"
+    + b"lq\x010"
     + dtype("O", "|", (-1, -1, 63))
     + b"q\x02"
     + (b"0" + array((100_000,), b"h\x02", b"h\x01")) * 10_000,
@@ -445,7 +467,10 @@ def test_bombs_end_soon(name):
     with pytest.raises(DataError) as caught:
         unpickle(content)
     assert time.process_time() - begin < 5
-    assert len(str(caught.value)) < 500
+    message = str(caught.value)
+    assert len(message) < 500
+    if "again and again" in name or "doubled" in name or "without end" in name:
+        assert re.search("at most|should follow", message), message
 
 
 MEMORY = """

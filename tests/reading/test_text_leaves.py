@@ -23,7 +23,7 @@ DOORS = {
     "pytest.TestReport": {"session/suite_session.py"},
     # what they show is escaped by the hooks of suite_session
     "pytest.fail": {"suite/test_samples.py", "suite/test_metrics.py", "suite/test_speed.py"},
-    "pytest.skip": {"suite/test_samples.py", "suite/test_metrics.py", "suite/test_speed.py"},
+    "pytest.skip": set(),
     # where it is not in usage_errors(): nothing in it but names of our options
     "pytest.UsageError": {
         "plugin.py",
