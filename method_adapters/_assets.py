@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.adapting import CATEGORIES, Asset
+from pytest_cpas.adapting import CATEGORIES, Asset, ContractError, read_npy
 
 #: The category priors, (6, 1024, 3) in NOCS units, that SPD, CR-Net, SGPA, DPDN and RBP-Pose share.
 MEAN_SHAPES = Asset(
@@ -24,6 +26,15 @@ NOCS_TERMS = "trained on NOCS data, which is for non-commercial use"
 
 class AssetError(ValueError):
     """A file of weights or priors is not what it should be."""
+
+
+@contextmanager
+def told_of_asset() -> Generator[None]:
+    """What is wrong with a file that is read becomes an :class:`AssetError`."""
+    try:
+        yield
+    except ContractError as error:
+        raise AssetError(str(error)) from error
 
 
 def require(module: str, package: str, extra: str) -> None:
@@ -50,9 +61,9 @@ def load_priors(folder: Path | None) -> NDArray[np.float32]:
         f" (the published file has the md5 sum {MEAN_SHAPES_MD5})"
     )
     try:
-        priors = np.load(path, allow_pickle=False)
-    except (ValueError, OSError) as error:
-        raise AssetError(f"{path}: it cannot be read ({error}); {expected}") from error
+        priors = read_npy(path)
+    except ContractError as error:
+        raise AssetError(f"{error}; {expected}") from error
     if priors.shape != (len(CATEGORIES), 1024, 3) or priors.dtype.kind != "f":
         raise AssetError(f"{path}: it holds {priors.shape} of {priors.dtype}; {expected}")
     diagonals = np.linalg.norm(np.ptp(priors, axis=1), axis=-1)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from method_adapters._assets import AssetError
+from pytest_cpas.adapting import ContractError, read_yaml
 
 
 @dataclass(frozen=True)
@@ -91,10 +92,11 @@ def read_configuration(path: Path) -> Configuration:
     What it says about training is left aside. Raises :class:`AssetError` for a file that is none,
     or that asks for something that is not built here.
     """
-    import yaml
-
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = read_yaml(path)
+    except ContractError as error:
+        raise AssetError(f"{error}; it is not a configuration of SDFEst as published") from error
+    try:
         vae, init = content["vae"], content["init"]
         backbone, head = init["backbone"], init["head"]
         built = {
@@ -123,7 +125,7 @@ def read_configuration(path: Path) -> Configuration:
             linear=[layer["out"] for layer in vae["decoder"]["fc_layers"]],
             decoder=[DecoderLayer(**layer) for layer in vae["decoder"]["conv_layers"]],
         )
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise AssetError(
             f"{path}: it is not a configuration of SDFEst as published: {type(error).__name__}"
             f" {error}"

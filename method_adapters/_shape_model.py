@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
@@ -11,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import AssetError
+from method_adapters._assets import AssetError, told_of_asset
+from pytest_cpas.adapting import read_npz
 
 Array = NDArray[np.float64]
 
@@ -39,18 +38,8 @@ def read_shape_model(path: Path) -> ShapeModel:
     the mean (N, 3) or flat, x y z by point, and components (K, 3 N), (3 N, K) or (K, N, 3) with
     K at least 3. Raises :class:`AssetError` for a file without exactly one such pair.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            arrays = {
-                member.removesuffix(".npy"): array
-                for member in archive.namelist()
-                if (array := _plain_array(archive, member)) is not None
-            }
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise AssetError(
-            f"{path}: it cannot be read as arrays ({type(error).__name__}: {error}); is it torn,"
-            " or a web page? Fetch it again"
-        ) from error
+    with told_of_asset():
+        arrays = read_npz(path)
     models = [
         model
         for mean, components in permutations(arrays, 2)
@@ -63,21 +52,6 @@ def read_shape_model(path: Path) -> ShapeModel:
             f" least {COMPONENTS}, all finite, expected one; it holds {seen or 'no plain arrays'}"
         )
     return models[0]
-
-
-def _plain_array(archive: zipfile.ZipFile, member: str) -> NDArray[np.generic] | None:
-    """An array of a .npz archive; None where it would have to be unpickled."""
-    readers = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
-    with archive.open(member) as file:
-        read = readers.get(np.lib.format.read_magic(file))
-        if read is None or read(file)[2].hasobject:
-            return None
-    with archive.open(member) as file:
-        array: NDArray[np.generic] = np.lib.format.read_array(file, allow_pickle=False)
-        return array
 
 
 def _model(mean: NDArray[np.generic], components: NDArray[np.generic]) -> ShapeModel | None:

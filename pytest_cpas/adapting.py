@@ -9,6 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pytest_cpas._open3d import import_open3d
+from pytest_cpas.reading.arrays import read_npy, read_npz
+from pytest_cpas.reading.checkpoints import read_tensors
+from pytest_cpas.reading.structured import read_yaml
 from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama, umeyama
 from pytest_cpas.stages import stage
 from pytest_cpas.types import (
@@ -61,6 +64,10 @@ __all__ = [
     "Symmetry",
     "import_open3d",
     "permute_extents",
+    "read_npy",
+    "read_npz",
+    "read_tensors",
+    "read_yaml",
     "robust_umeyama",
     "sample_surface",
     "stage",

@@ -33,7 +33,8 @@ def command_line() -> argparse.ArgumentParser:
         description="Judge the files of --cpas-results, of a run or of all its shards, as merge"
         " does, and write the files of --cpas-report; with --cpas-dataset NAME also pictures."
         " Further options are pytest's. Of a single report.json the report is written anew,"
-        " without pictures.",
+        " without pictures; with --protocol its samples are judged anew by the facts that it has"
+        " of them, and no golden table stands beside.",
     )
     report.add_argument(
         "files", nargs="+", metavar="FILE", help="a file of --cpas-results, or one report.json"
@@ -45,6 +46,13 @@ def command_line() -> argparse.ArgumentParser:
         default=[],
         metavar="FILE",
         help="compare with the runs in these files, results files or report.json",
+    )
+    report.add_argument(
+        "--protocol",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="judge under a protocol, as --cpas-protocol; nothing is run again (repeatable)",
     )
     export = commands.add_parser(
         "export-bop",
@@ -86,12 +94,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if rest or len(options.files) > 1:
             unknown = " ".join([*options.files[1:], *rest])
             parser.error(f"a report.json stands alone; not understood: {unknown}")
-        return _report(Path(options.files[0]), Path(options.to), list(map(Path, options.against)))
+        return _report(options)
     if options.command in ("merge", "report"):
         for_pytest = [f"--cpas-merge={file}" for file in options.files]
         if options.command == "report":
             for_pytest += [f"--cpas-report={options.to}"]
             for_pytest += [f"--cpas-against={file}" for file in options.against]
+            for_pytest += [f"--cpas-protocol={name}" for name in options.protocol]
         guard.is_command = guard.is_command or arguments is None
         return int(pytest.main([*for_pytest, *rest]))
     if rest:
@@ -103,18 +112,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return _export_bop(options)
 
 
-def _report(path: Path, to: Path, others: Sequence[Path]) -> int:
+def _report(options: argparse.Namespace) -> int:
     from pytest_cpas.evaluation import ResultsError
     from pytest_cpas.report.against import against
     from pytest_cpas.report.files import write_report
+    from pytest_cpas.report.rejudged import rejudged
     from pytest_cpas.report.stored import StoredReportError, read_report, read_runs
+    from pytest_cpas.session.protocol_names import resolve_protocols
+    from pytest_cpas.types import ContractError
 
+    to, here = Path(options.to), Path.cwd()
+    # where pytest would find the project
+    root = next(
+        (path for path in (here, *here.parents) if (path / "pyproject.toml").is_file()), here
+    )
     try:
-        document = read_report(path)
-        if others:
-            document["against"] = against(document["runs"], read_runs(others))
+        protocols = resolve_protocols(options.protocol, here, root) if options.protocol else None
+        document = read_report(Path(options.files[0]))
+        if protocols is not None:
+            document = rejudged(document, protocols)
+            for line in dict.fromkeys(line for run in document["runs"] for line in run["lacking"]):
+                say(f"n/a: {line}")
+        if options.against:
+            others = read_runs(list(map(Path, options.against)), protocols)
+            document["against"] = against(document["runs"], others)
         write_report(document, to, {})
-    except (StoredReportError, ResultsError, OSError) as error:
+    except (StoredReportError, ResultsError, ContractError, OSError) as error:
         say(f"pytest-cpas report: {error}", file=sys.stderr)
         return 1
     say(f"wrote {to / 'report.html'}, .md and .json")

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from pytest_cpas.protocols import Protocol
 from pytest_cpas.registry import KINDS, RegistryError, registered, resolve
 from pytest_cpas.types import MethodInfo, assets_of
 
 
-def listing(weights: Path | None) -> Iterator[str]:
+def listing(weights: Path | None, protocols: Iterable[Protocol]) -> Iterator[str]:
     """The lines. Methods are imported to be asked for their declaration, and their assets looked
-    for below ``weights``; data sets and metrics are named alone."""
+    for below ``weights``; data sets and metrics are named alone. ``protocols`` are told with their
+    columns."""
     for kind, name in KINDS.items():
+        if kind == "protocol":
+            continue
         yield f"{name}s:"
         for entry in registered(kind):
             owner = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "unknown"
             yield f"  {entry.name:24} {entry.value}  ({owner})"
             if kind == "method":
                 yield from (f"      {line}" for line in _declared(entry.name, weights))
+
+    yield "protocols:"
+    for protocol in protocols:
+        yield f"  {protocol.name:24} version {protocol.version}: {protocol.title}"
+        for column in protocol.columns:
+            guard = "  (guard)" if column.guard else ""
+            yield f"      {column.id:24} {column.label}{guard}"
 
 
 def _declared(name: str, weights: Path | None) -> Iterator[str]:

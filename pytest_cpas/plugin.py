@@ -7,6 +7,7 @@ given: people install this plugin beside unrelated projects.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 from typing import TYPE_CHECKING
 
@@ -58,6 +59,10 @@ EXAMPLES: Mapping[str, str] = {
     "--cpas-metrics": "--cpas-metrics cpas",
     "--cpas-check-dataset": "--cpas-check-dataset synthetic-tabletop",
 }
+
+
+#: The values of options that need none. They follow an equals sign: a word of its own is a path.
+OPTIONAL_VALUES: Mapping[str, tuple[str, ...]] = {"--cpas-require-golden": ("strict",)}
 
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
@@ -265,7 +270,7 @@ def add_options(parser: pytest.Parser) -> None:
         "--cpas-report",
         metavar="DIR",
         help="write a report into DIR: report.html, report.md, report.json, precision.csv,"
-        " precision.tex",
+        " scores.csv, precision.tex",
     )
     group.addoption(
         "--cpas-against",
@@ -297,7 +302,8 @@ def add_options(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-list",
         action="store_true",
-        help="print what is registered, and which weights of the methods are there, and exit",
+        help="print what is registered, which weights of the methods are there, and the protocols"
+        " with their columns, and exit",
     )
     parser.addini("cpas_golden", "folder of golden tables, relative to the root directory")
     parser.addini("cpas_alarm", "the same as --cpas-alarm")
@@ -319,9 +325,15 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
         return None
     from pytest_cpas.listing import listing
     from pytest_cpas.reading.text import say
+    from pytest_cpas.session.protocol_names import known_protocols
+    from pytest_cpas.types import ContractError
 
     weights = config.option.cpas_weights
-    for line in listing(config.invocation_params.dir / weights if weights else None):
+    try:
+        protocols = known_protocols(config.rootpath)
+    except ContractError as error:
+        raise pytest.UsageError(str(error)) from error
+    for line in listing(config.invocation_params.dir / weights if weights else None, protocols):
         say(line)
     return 0
 
@@ -350,6 +362,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if options.help or options.version:
         return
     _check_needs(config)
+    _check_optional_values(config)
     if (
         options.cpas_method
         or options.cpas_dataset
@@ -388,6 +401,18 @@ def _check_needs(config: pytest.Config) -> None:
     ]
     if vain:
         raise pytest.UsageError("\n".join(vain))
+
+
+def _check_optional_values(config: pytest.Config) -> None:
+    """Refuse a value that stands as a word of its own, unless there is such a path."""
+    words = [str(argument) for argument in config.invocation_params.args]
+    for option, value in itertools.pairwise(words):
+        is_path = (config.invocation_params.dir / value).exists()
+        if value in OPTIONAL_VALUES.get(option, ()) and not is_path:
+            raise pytest.UsageError(
+                f"{option} {value}: pytest takes {value} for the path of a test; write"
+                f" {option}={value}"
+            )
 
 
 def _destination(option: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib
 import inspect
 from importlib.metadata import EntryPoint, entry_points
@@ -53,7 +54,7 @@ def resolve(kind: Kind, name: str) -> Any:
         module, _, attribute = name.partition(":")
         if kind == "dataset" and module in {entry.name for entry in registered(kind)}:
             make = resolve(kind, module)
-            return lambda data_dir: make(Path(attribute))
+            return functools.wraps(make)(lambda data_dir: make(Path(attribute)))
         return _load(kind, name, module, attribute, "")
     if kind == "metric" and "." in name:
         return _load(kind, name, name, "METRICS", "")
@@ -87,6 +88,7 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
         ContractError,
         as_dataset,
     )
+    from pytest_cpas.types.datasets import remember_maker
 
     make = resolve("dataset", name)
     if not callable(make):
@@ -106,7 +108,9 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
         raise RegistryError(
             f"data set {name!r} cannot be opened, {folder} ({type(error).__name__}: {error})"
         ) from error
-    return as_dataset(made, name)
+    dataset = as_dataset(made, name)
+    remember_maker(dataset, make)
+    return dataset
 
 
 def _owner(entry: EntryPoint) -> str:

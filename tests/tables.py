@@ -5,6 +5,7 @@ from dataclasses import replace
 from pytest_cpas.evaluation import Answer, Row, Run
 from pytest_cpas.facts import fact
 from pytest_cpas.golden import RunTable
+from pytest_cpas.protocols import shipped_protocol
 from pytest_cpas.types import SampleRef
 
 
@@ -20,6 +21,10 @@ REFS = [
 
 def a_run(**identity: str) -> Run:
     return Fixed("m", "d", REFS, identity={"data": "x", **identity})
+
+
+#: What a run is judged under unless it says otherwise.
+CPAS = (shipped_protocol("cpas"),)
 
 
 #: The facts of an answer that is right everywhere.

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import pytest_cpas
-from pytest_cpas import adapting, metrics, similarity, stages, types
+from pytest_cpas import adapting, metrics, reading, similarity, stages, types
 from pytest_cpas._deprecation import MOVED, deprecated
 
 ROOT = Path(__file__).parents[1]
@@ -67,6 +67,9 @@ def test_adapting_hands_out_the_same_objects():
         stages,
         similarity,
         metrics,
+        reading.arrays,
+        reading.checkpoints,
+        reading.structured,
         importlib.import_module("pytest_cpas._open3d"),
     )
     for name in adapting.__all__:
@@ -97,6 +100,19 @@ def test_old_paths_are_the_modules_that_were_moved(old, monkeypatch):
     )
     for name in DOCUMENTED.get(old, ()):
         assert getattr(importlib.import_module(public), name) is getattr(module, name)
+
+
+@pytest.mark.parametrize("old", MOVED)
+def test_every_public_name_is_where_the_warning_says(old):
+    """Whoever writes what it says finds each class and function that was at the old path."""
+    where, public = map(importlib.import_module, MOVED[old])
+    names = [
+        name
+        for name, value in vars(where).items()
+        if getattr(value, "__module__", None) == where.__name__ and not name.startswith("_")
+    ]
+    offered = getattr(where, "__all__", names)
+    assert not [name for name in {*names, *offered} if not hasattr(public, name)]
 
 
 def test_all_paths_that_were_documented_are_found():

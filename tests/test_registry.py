@@ -47,6 +47,15 @@ def test_broken_entry_fails_only_when_asked_for_and_is_blamed(distribution):
         registry.resolve("method", "broken")
 
 
+def raised_by(function, *arguments):
+    """What a call raises: a test that lets a skip through would be skipped."""
+    try:
+        function(*arguments)
+    except BaseException as error:
+        return error
+    return None
+
+
 LEAVES = {
     "exit": "import sys; sys.exit(0)",
     "SystemExit": "raise SystemExit",
@@ -61,8 +70,9 @@ def test_module_that_leaves_while_it_is_imported_is_blamed(distribution, how):
     """Whoever skips a module skips no verdict that was asked for."""
     distribution("lab", "", lab_leaves=f"{LEAVES[how]}\nclass X: pass\n")
     for kind in ("method", "dataset"):
-        with pytest.raises(registry.RegistryError, match="lab_leaves:X cannot be imported"):
-            registry.resolve(kind, "lab_leaves:X")
+        error = raised_by(registry.resolve, kind, "lab_leaves:X")
+        assert isinstance(error, registry.RegistryError)
+        assert "lab_leaves:X cannot be imported" in str(error)
 
 
 def test_interrupt_while_a_module_is_imported_is_one(distribution):
@@ -86,10 +96,9 @@ def test_data_set_that_cannot_be_opened_is_told_with_its_folder(distribution, ho
     text = f"class Data:\n    def __init__(self, data_dir):\n        {wrong}\n"
     distribution("lab", "", lab_data=text)
     words = "no folder was given with --cpas-data" if folder is None else "in somewhere"
-    with pytest.raises(
-        registry.RegistryError, match=rf"^data set 'lab_data:Data' cannot be opened, {words} \("
-    ):
-        registry.open_dataset("lab_data:Data", folder)
+    error = raised_by(registry.open_dataset, "lab_data:Data", folder)
+    assert isinstance(error, registry.RegistryError)
+    assert str(error).startswith(f"data set 'lab_data:Data' cannot be opened, {words} (")
 
 
 @pytest.mark.parametrize("error", ["FileNotFoundError", "ContractError", "ImportError"])

@@ -337,6 +337,10 @@ class DeclaredInexact(Inexact):
     info = replace(Perfect.info, deterministic=False)
 
 
+class DeclaredBiased(Biased):
+    info = DeclaredInexact.info
+
+
 class Shifts(Perfect):
     """In a batch, each answer is further off than the one before."""
 

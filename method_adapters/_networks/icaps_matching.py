@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from method_adapters._assets import AssetError
+from method_adapters._assets import AssetError, told_of_asset
 from method_adapters._networks.icaps import CODE_SIZE, CROP_SIDE, AutoEncoder
 from method_adapters._networks.roi_align import roi_align
-from method_adapters._networks.running import full_precision, read_tensors
+from method_adapters._networks.running import full_precision
+from pytest_cpas.adapting import read_tensors
 
 Array = NDArray[np.float64]
 
@@ -32,11 +33,17 @@ class Codebook:
     def __init__(self, path: Path, device: torch.device) -> None:
         """From a published file: a tuple of codes (R, 128) and poses (R, 7), position and unit
         quaternion, scalar first. Raises :class:`AssetError`."""
-        content = read_tensors(path)
+        with told_of_asset():
+            content = read_tensors(path)
         expected = f"expected a pair of codes ({ROTATIONS}, {CODE_SIZE}) and poses ({ROTATIONS}, 7)"
         if not isinstance(content, (tuple, list)) or len(content) != 2:
             raise AssetError(f"{path}: it holds a {type(content).__name__}; {expected}")
-        codes, poses = (torch.as_tensor(x) for x in content)
+        try:
+            codes, poses = (torch.as_tensor(x) for x in content)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise AssetError(f"{path}: it holds no tensors ({error}); {expected}") from error
+        if not (codes.ndim and codes.numel() and poses.ndim and poses.numel()):
+            raise AssetError(f"{path}: it holds empty tensors; {expected}")
         # the published codes have axes of length 1 that say nothing
         codes = codes.reshape(-1, codes.shape[-1]).float()
         poses = poses.reshape(-1, poses.shape[-1]).double()

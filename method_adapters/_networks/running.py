@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-import struct
-import warnings
-import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -16,38 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from method_adapters._assets import AssetError
+from method_adapters._assets import AssetError, told_of_asset
+from pytest_cpas.adapting import read_tensors
 
 #: Where published checkpoints keep the weights, if not at the top.
 NESTED = ("model", "state_dict", "aae_state_dict", "model_state_dict")
-
-
-def read_tensors(path: Path) -> Any:
-    """What a file holds, tensors on the CPU; nothing in it is run. Raises :class:`AssetError`."""
-    try:
-        with warnings.catch_warnings():
-            # of another pickle protocol; what it cannot read raises
-            warnings.simplefilter("ignore", UserWarning)
-            return torch.load(path, map_location="cpu", weights_only=True)
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        EOFError,
-        ValueError,
-        zipfile.BadZipFile,
-        # torch's unpickler takes the end of a torn file as it comes
-        struct.error,
-        LookupError,
-        AttributeError,
-        TypeError,
-        AssertionError,
-    ) as error:
-        reason = str(error).strip().splitlines()
-        raise AssetError(
-            f"{path} ({path.stat().st_size} bytes) cannot be read as tensors alone: it is damaged,"
-            " torn, a web page, or it holds code, which is never run. Fetch it again"
-            f" ({type(error).__name__}: {reason[0] if reason else 'no reason given'})"
-        ) from error
 
 
 def read_checkpoint(path: Path) -> dict[str, Tensor]:
@@ -56,13 +25,17 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
     Weights below a key of ``NESTED``, and names with the part ``module.`` that DataParallel puts
     in, become plain ones. Raises :class:`AssetError`.
     """
-    content = read_tensors(path)
+    with told_of_asset():
+        content = read_tensors(path)
     for key in NESTED:
         if isinstance(content, Mapping) and isinstance(content.get(key), Mapping):
             content = content[key]
             break
     if not isinstance(content, Mapping) or not content:
         raise AssetError(f"{path}: it holds a {type(content).__name__}, expected named tensors")
+    odd = [repr(key) for key in content if not isinstance(key, str)]
+    if odd:
+        raise AssetError(f"{path}: its tensors are called {_some(odd)}, expected names")
     other = [str(key) for key, value in content.items() if not isinstance(value, Tensor)]
     if other:
         raise AssetError(f"{path}: {_some(other)} are no tensors, expected tensors alone")

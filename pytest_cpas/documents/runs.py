@@ -110,7 +110,9 @@ class SampleDocument(TypedDict):
     iou: Annotated[float | None, Allowed(minimum=0, maximum=1.000001)]
     fscore_1cm: Share | None
     facts: Annotated[
-        dict[str, float | None], "All that was measured, by name; null is n/a or infinite."
+        dict[str, float | None],
+        "All that was measured, by name, as exact as it was; null is n/a. What a sample without an"
+        " answer failed at has no entry.",
     ]
     failure: Annotated[str | None, "Why the method gave no answer."]
     error: str | None
@@ -167,6 +169,10 @@ class RunDocument(TypedDict):
     precision: list[PrecisionDocument]
     guards: Annotated[list[PrecisionDocument], "The same for columns that are there to be guarded."]
     scores: list[ScoreDocument]
+    lacking: Annotated[
+        list[str],
+        "Columns in which no sample could be judged, and what for, in words; they are n/a.",
+    ]
     curves: CurvesDocument
     flips: Annotated[
         list[FlipDocument],

@@ -1,6 +1,7 @@
 """Method times data set gives rows, one per sample; rows give the table."""
 
 from pytest_cpas.evaluation.estimates import (
+    Estimates,
     decode_estimates,
     decode_shape,
     encode_estimate,
@@ -11,6 +12,7 @@ from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.merging import MergedRun, merge
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
 from pytest_cpas.evaluation.predictions import StoredRun
+from pytest_cpas.evaluation.program import found_programs, take_programs
 from pytest_cpas.evaluation.results import (
     Header,
     Results,
@@ -25,6 +27,7 @@ from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_se
 
 __all__ = [
     "Answer",
+    "Estimates",
     "Header",
     "Limit",
     "MergedRun",
@@ -47,9 +50,11 @@ __all__ = [
     "decode_shape",
     "encode_estimate",
     "encode_shape",
+    "found_programs",
     "measure",
     "merge",
     "parse_seconds",
     "read_frames",
     "read_results",
+    "take_programs",
 ]

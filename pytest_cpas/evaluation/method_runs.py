@@ -29,11 +29,11 @@ from pytest_cpas.types import (
     Prediction,
     Sample,
     SampleRef,
-    WrappedDataset,
     as_dataset,
     assets_of,
     raised_as,
 )
+from pytest_cpas.types.datasets import readers_of
 from pytest_cpas.types.frames import to_standard
 
 __all__ = ["MethodError", "MethodRun", "check_answers"]
@@ -91,11 +91,10 @@ class MethodRun(Run):
         self.limit: Limit | None = None
         self.under_contract = shared is None
         self.info = method.info
-        reader = dataset.wrapped if isinstance(dataset, WrappedDataset) else dataset
         self.provenance = {
             **self.provenance,
             **program_of(type(method)).facts(),
-            "data_code": program_of(type(reader)).code,
+            "data_code": program_of(*readers_of(dataset)).code,
         }
         self.quick_truth = dataset.quick_truth
         self.focal = dataset.camera.fx if dataset.camera else None

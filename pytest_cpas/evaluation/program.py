@@ -21,13 +21,13 @@ import platform
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pytest_cpas.reading.files import read_bytes, sha256
 
-__all__ = ["UNKNOWN", "Program", "program_of"]
+__all__ = ["UNKNOWN", "Program", "found_programs", "program_of", "take_programs"]
 
 #: The digest of a program whose sources are not on a disk.
 UNKNOWN = "unknown"
@@ -55,20 +55,61 @@ class Program:
         return {name: fact for name, fact in facts.items() if fact}
 
 
+#: By the names of what they are of: those that this process looked for, and those it was handed.
+_found: dict[str, Program] = {}
+_handed: dict[str, Program] = {}
+
+
 @functools.cache
-def program_of(method: type) -> Program:
-    """The program of a method's class: its module, those of its bases, and what they import."""
-    modules = {kind.__module__ for kind in method.__mro__ if kind.__module__ != "builtins"}
+def program_of(*parts: type | Callable[..., object]) -> Program:
+    """The program of classes and functions: their modules, those of bases, and what they import.
+
+    Its code is unknown if that of a part is.
+    """
+    names = " ".join(_name_of(part) for part in parts)
+    if names not in _handed:
+        _found[names] = _look_for(names, parts)
+    return _handed.get(names) or _found[names]
+
+
+def found_programs() -> dict[str, dict[str, str]]:
+    """The programs that were looked for, as plain values for :func:`take_programs`."""
+    return {name: asdict(program) for name, program in _found.items()}
+
+
+def take_programs(known: Mapping[str, Mapping[str, str]]) -> None:
+    """Take over what another process of the same run has looked for."""
+    _handed.update({name: Program(**program) for name, program in known.items()})
+
+
+def _is_of_python(part: type | Callable[..., object]) -> bool:
+    """Whether it is a class that Python's version tells."""
+    return isinstance(part, type) and part.__module__ in sys.stdlib_module_names
+
+
+def _name_of(part: type | Callable[..., object]) -> str:
+    return f"{part.__module__}:{getattr(part, '__qualname__', repr(part))}"
+
+
+def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Program:
+    kinds = [kind for part in parts for kind in getattr(part, "__mro__", (part,))]
+    modules = {kind.__module__ for kind in kinds if kind.__module__ != "builtins"}
     search = _Search()
     for module in sorted(modules):
         search.follow(module)
+    sources = [_source_of(part) for part in parts if not _is_of_python(part)]
+    known = [source for source in sources if source in search.files]
+    if not known or len(known) < len(sources):
+        return Program(UNKNOWN, search.packages(), "")
+    return Program(search.digest(names), search.packages(), _revision(known[0]))
+
+
+def _source_of(part: type | Callable[..., object]) -> Path | None:
+    """The file of a class or function, or the archive that it is in."""
     try:
-        source = Path(inspect.getfile(method))
+        return _place(Path(inspect.getfile(part)))
     except (TypeError, OSError):
-        source = None
-    known = source is not None and source.resolve() in search.files
-    code = search.digest(f"{method.__module__}:{method.__qualname__}") if known else UNKNOWN
-    return Program(code, search.packages(), _revision(source) if source and known else "")
+        return None
 
 
 class _Search:
@@ -157,8 +198,12 @@ def _file_of(name: str) -> Path | None:
         path = list(spec.submodule_search_locations or ())
     if spec is None or not spec.has_location or spec.origin is None:
         return None
-    file = Path(spec.origin).resolve()
-    # a module in an archive is as the archive is
+    return _place(Path(spec.origin))
+
+
+def _place(file: Path) -> Path | None:
+    """The file of a module; a module in an archive is as the archive is."""
+    file = file.resolve()
     return next((place for place in (file, *file.parents) if place.is_file()), None)
 
 

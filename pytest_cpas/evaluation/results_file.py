@@ -7,7 +7,7 @@ import itertools
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,17 @@ from pytest_cpas.evaluation.runs import Run
 __all__ = ["ResultsFile"]
 
 
+@dataclass(frozen=True)
+class SetAside:
+    """Rows that are not reused: how many, and in what the program differs that computed them."""
+
+    rows: int
+    differences: Sequence[str]
+
+    def __str__(self) -> str:
+        return f"not reused {self.rows} of another program ({'; '.join(self.differences)})"
+
+
 class ResultsFile:
     """The results file of one run, which grows by a line per sample.
 
@@ -47,9 +58,8 @@ class ResultsFile:
         self.header = Header.of(run, shard)
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
         self.rows: Mapping[str, Row] = {}
-        #: Why the rows of an older file are not reused, and how many there are: another program's.
-        self.not_reused: Sequence[str] = ()
-        self.rows_not_reused = 0
+        #: The rows of an older file that are another program's.
+        self.set_aside: SetAside | None = None
         self._contract: Mapping[str, Mapping[str, Any]] = {}
         self._size, self._last = 0, b""
         #: Whether ``rows`` are another program's, and are reused on purpose.
@@ -75,10 +85,13 @@ class ResultsFile:
                 f" {strangers[0]}. Remove it, or name another folder"
             )
         programs = program_differences(there.header, self.header)
-        if self.header.provenance.get("code") == UNKNOWN:
-            programs.append("the method's sources are in no file, so they may have changed")
+        programs += [
+            f"the {whose} sources are in no file, so they may have changed"
+            for key, whose in (("code", "method's"), ("data_code", "data set's"))
+            if self.header.provenance.get(key) == UNKNOWN
+        ]
         if programs and not reuse_any:
-            self.not_reused, self.rows_not_reused = programs, len(there.rows)
+            self.set_aside = SetAside(len(there.rows), programs)
             return
         self.another_program = bool(programs)
         self.rows, self._contract = there.rows, there.contract
@@ -117,7 +130,7 @@ class ResultsFile:
                 f"{self.path}: another run has written it since this one began. Run the same"
                 " command again"
             )
-        if self.not_reused:
+        if self.set_aside:
             # nothing is lost: the old rows stay beside the new ones
             self.path.rename(_free(self.path))
             file.close()

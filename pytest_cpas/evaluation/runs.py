@@ -24,7 +24,7 @@ from pytest_cpas.protocols import (
     score_columns,
     shipped_protocol,
 )
-from pytest_cpas.types import GroundTruth, MethodInfo, SampleRef
+from pytest_cpas.types import DataError, GroundTruth, MethodInfo, SampleRef
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
 
@@ -98,10 +98,12 @@ class Run(ABC):
     ) -> None:
         """List ``samples``, and select some of them (all if ``selection`` is None).
 
-        ``protocols``: the paper's if None.
+        ``protocols``: the paper's if None. Raises :class:`DataError` if two samples have the same
+        id.
         """
         self.method = checked_name("method", method)
         self.dataset = checked_name("data set", dataset)
+        _check_ids(self.dataset, samples)
         self.listed = Counter(sample.category for sample in samples)
         self.samples = (selection or Selection()).of(samples)
         self.missing, self.damaged = missing, damaged
@@ -126,3 +128,12 @@ class Run(ABC):
         """The detections of the whole data set, ranked for the protocols that ask for it; None
         where what is judged are no detections."""
         return None
+
+
+def _check_ids(dataset: str, samples: Sequence[SampleRef]) -> None:
+    counts = Counter(sample.id for sample in samples)
+    if repeated := [name for name, count in counts.items() if count > 1]:
+        raise DataError(
+            f"data set {dataset}: {len(repeated)} sample ids occur more than once, first"
+            f" {repeated[0]!r}, {counts[repeated[0]]} times; every sample needs an id of its own"
+        )

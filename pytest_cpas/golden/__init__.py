@@ -1,18 +1,19 @@
 """Golden tables: what a run was when somebody looked at it and found it right.
 
-``recorded/METHOD/DATASET/table.toml`` holds one cell per line, exact counts, and where they come
-from; ``samples.csv`` beside it one line per sample: which thresholds it met (see
-:func:`pytest_cpas.evaluation.outcomes`) and its errors, rounded, for people. The outcomes decide;
-the counts are checked against them on reading. What a table says about a run is in
+``recorded/METHOD/DATASET/`` has what the run is of (``run.toml``), what was measured of every
+sample (``facts.csv``), and a file for each protocol that it was judged under, with a cell per line.
+The facts decide; the cells follow from them, and are checked on reading. Tables of earlier versions
+(``table.toml``, ``samples.csv``) are read as far as they go. What a table says about a run is in
 :mod:`pytest_cpas.golden.comparison`.
 """
 
-from pytest_cpas.golden.comparison import Word, compare
+from pytest_cpas.golden.comparison import Word, compare, detectable_flips
 from pytest_cpas.golden.files import find_golden, orphans, read_golden, record, shipped_golden
 from pytest_cpas.golden.jitter import recorded_words
 from pytest_cpas.golden.pairing import SharedColumn, shared_columns
 from pytest_cpas.golden.published import (
     PublishedCell,
+    PublishedTime,
     compare_published,
     count_problems,
     published_cells,
@@ -20,6 +21,7 @@ from pytest_cpas.golden.published import (
     published_datasets,
     published_methods,
     published_name,
+    published_sample_counts,
     published_time,
 )
 from pytest_cpas.golden.spread import ALARM
@@ -38,6 +40,7 @@ __all__ = [
     "FORMAT",
     "GoldenError",
     "PublishedCell",
+    "PublishedTime",
     "RunTable",
     "SharedColumn",
     "TableSample",
@@ -47,6 +50,7 @@ __all__ = [
     "compare_published",
     "count_problems",
     "describe",
+    "detectable_flips",
     "differences",
     "find_golden",
     "orphans",
@@ -55,6 +59,7 @@ __all__ = [
     "published_datasets",
     "published_methods",
     "published_name",
+    "published_sample_counts",
     "published_time",
     "read_golden",
     "record",

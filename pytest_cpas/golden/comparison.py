@@ -233,10 +233,9 @@ class _Spread:
             better = self.spread.p(scope, index, better=True)
             if worse < max(DOUBT, self.alarm):
                 word = Word.REGRESSED if worse < self.alarm else Word.PROBABLY_WORSE
-                told[word] += pairing.told(column, flips, f" ({self._seen(scope, index, worse)})")
+                told[word] += self._moved(pairing, index, worse)
             elif better < self.alarm:
-                remark = f" ({self._seen(scope, index, better)})"
-                told[Word.IMPROVED] += pairing.told(column, flips, remark)
+                told[Word.IMPROVED] += self._moved(pairing, index, better)
         told[Word.CHANGED] += pairing.other_samples
         lines = [line for group in told.values() for line in group]
         words = [word for word, group in told.items() if group]
@@ -247,12 +246,58 @@ class _Spread:
         if words == [Word.PROBABLY_WORSE]:
             advice = (
                 "p is the share of all runs without a change in which anything so improbable is"
-                " seen anywhere; to be sure, judge it under several seeds (--cpas-jitter)"
+                f" seen anywhere; to be sure, {self._advice}"
             )
             return Verdict(words[0], scope, "\n  ".join([*lines, advice, *self.notes[scope]]))
         # worse here and better there is neither
         word = words[0] if len(words) == 1 else Word.CHANGED
         return _to_record(word, pairing, lines, self.notes[scope])
+
+    @property
+    def _advice(self) -> str:
+        """What would make the same loss more improbable."""
+        judged = self.spread.answers.run.shape[1]
+        if judged < self.seeds:
+            return f"judge it under more seeds than {judged} (--cpas-jitter {self.seeds})"
+        return (
+            f"record more seeds than {self.seeds} of the program that was recorded (--cpas-jitter"
+            f" {2 * self.seeds} --snapshot-update), and judge this one again"
+        )
+
+    def _moved(self, pairing: Pairing, index: int, p: float) -> list[str]:
+        """What is improbable at a threshold: under how many seeds, and in which samples."""
+        seen = f" ({self._seen(pairing.category, index, p)})"
+        if self.spread.answers.run.shape[1] == 1:
+            return [
+                *pairing.told(self.columns[index], pairing.flips(self.columns[index]), seen),
+                *self._evidence(pairing, index),
+            ]
+        recorded, run = self.spread.answers.of(pairing.category, index)
+        counts = f"{_from_to(recorded)} -> {_from_to(run)} of {len(run)}"
+        return [
+            f"{self.columns[index].label}: {counts} correct{seen}",
+            *self._evidence(pairing, index),
+        ]
+
+    def _evidence(self, pairing: Pairing, index: int) -> list[str]:
+        """The samples whose share of seeds that are correct moved most, down and up."""
+        answers = self.spread.answers
+        known = answers.known[answers.among(pairing.category), index]
+        recorded, run = answers.of(pairing.category, index)
+        names = [name for name, there in zip(pairing.both, known, strict=True) if there]
+        moved = run.mean(axis=1) - recorded.mean(axis=1)
+        lines = []
+        for what, sign in (("worse", -1), ("better", 1)):
+            order = [i for i in np.argsort(-sign * moved, kind="stable") if sign * moved[i] > 0]
+            told = [
+                f"{names[i]} {recorded[i].sum()} of {recorded.shape[1]} -> {run[i].sum()} of"
+                f" {run.shape[1]}"
+                for i in order[:_NAMED]
+            ]
+            rest = f"; and {len(order) - _NAMED} more" if len(order) > _NAMED else ""
+            if told:
+                lines.append(f"    {what}, in seeds that are correct: {'; '.join(told)}{rest}")
+        return lines
 
     @functools.cached_property
     def _lucky(self) -> Spread:
@@ -293,6 +338,9 @@ class _Spread:
         words += f"; {loss or f'not even the loss of all would be improbable: {_MORE_SEEDS}'}"
         return Verdict(word, scope, "\n  ".join([words, *pairing.drift]))
 
+
+#: Samples that are named before the rest is only counted.
+_NAMED = 8
 
 #: What makes smaller losses show.
 _MORE_SEEDS = "record more seeds, or judge under several (--cpas-jitter)"

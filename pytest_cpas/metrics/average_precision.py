@@ -235,6 +235,8 @@ def _names(value: ArrayLike, what: str) -> NDArray[np.generic]:
         raise ContractError(f"detections: {what} are no names ({error})") from None
     if names.ndim == 1 and names.size == 0:
         return names.astype(np.int64)
+    if names.dtype.kind == "f":
+        names = names.astype(np.float64)
     if (
         names.dtype.kind == "f"
         and (np.abs(names) < 2**53).all()

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+import lzma
 import os
 import re
 import shutil
 import stat
+import struct
 import tarfile
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from lzma import LZMAError
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, cast
+
+from pytest_cpas.reading.files import opened, regular
+from pytest_cpas.types import DataError
 
 #: An archive may unpack to at most that many times its size (text compresses to a tenth), or to
 #: :data:`_SMALL` bytes.
 MAX_RATIO = 100
 _SMALL = 2**20
+
+#: Largest archive, bytes.
+_LARGEST = 2**40
+
+#: Longest path, characters, and longest name of a file or folder, bytes, that any system takes.
+_LONGEST_PATH, _LONGEST_NAME = 1000, 255
 
 #: More members than that are no data set of ours.
 MAX_MEMBERS = 5_000_000
@@ -59,6 +70,8 @@ def unpack(archive: Path, folder: Path) -> int:
             return len(files)
     except ArchiveError as error:
         raise ArchiveError(f"{archive}: {error}") from None
+    except DataError as error:
+        raise ArchiveError(str(error)) from None
     except _DAMAGE as error:
         raise ArchiveError(
             f"{archive}: not a readable archive ({error}); is it truncated, or a web page?"
@@ -70,20 +83,23 @@ _DAMAGE = (
     zipfile.BadZipFile,
     tarfile.TarError,
     zlib.error,
-    LZMAError,
+    lzma.LZMAError,
     EOFError,
     NotImplementedError,  # a compression that Python lacks
     UnicodeError,
+    ValueError,
+    struct.error,
+    OverflowError,
+    IndexError,
     gzip.BadGzipFile,
 )
 
 
 def _members(archive: Path, stack: ExitStack) -> list[_File]:
-    if zipfile.is_zipfile(archive):
+    if zipfile.is_zipfile(regular(archive)):
         members = _zip_members(stack.enter_context(zipfile.ZipFile(archive)))
     else:
-        tar = stack.enter_context(tarfile.open(archive))  # noqa: SIM115 - the stack closes it
-        members = _tar_members(tar)
+        members = _tar_members(_tar(archive, stack))
     size = archive.stat().st_size
     limit = max(MAX_RATIO * size, _SMALL)
     files: list[_File] = []
@@ -103,6 +119,41 @@ def _members(archive: Path, stack: ExitStack) -> list[_File]:
         raise ArchiveError("it holds no files")
     _check_unique(files)
     return files
+
+
+#: How compressed files begin, and what opens them.
+_COMPRESSED: Mapping[bytes, Callable[[IO[bytes]], IO[bytes]]] = {
+    b"\x1f\x8b": lambda file: cast(IO[bytes], gzip.GzipFile(fileobj=file)),
+    b"BZh": lambda file: cast(IO[bytes], bz2.BZ2File(file)),
+    b"\xfd7zXZ\0": lambda file: cast(IO[bytes], lzma.LZMAFile(file)),  # noqa: SIM115
+}
+
+#: Bytes of a header of a tar archive: long names, and what else pax tells of a file.
+_LONGEST_HEADER = 2**20
+
+
+class _Careful:
+    """A tar archive's bytes, of which no header is read that is longer than any true one is."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self.seek, self.tell = file.seek, file.tell
+
+    def read(self, size: int = -1) -> bytes:
+        if not 0 <= size <= _LONGEST_HEADER:
+            raise ArchiveError(f"a header of {size} bytes; a bomb?")
+        return self._file.read(size)
+
+
+def _tar(archive: Path, stack: ExitStack) -> tarfile.TarFile:
+    file: IO[bytes] = stack.enter_context(opened(archive, _LARGEST))
+    start = file.read(6)
+    file.seek(0)
+    for magic, uncompressed in _COMPRESSED.items():
+        if start.startswith(magic):
+            file = stack.enter_context(uncompressed(file))
+    careful = cast(IO[bytes], _Careful(file))
+    return stack.enter_context(tarfile.open(fileobj=careful, mode="r:"))
 
 
 def _zip_members(archive: zipfile.ZipFile) -> Iterator[_File]:
@@ -143,7 +194,12 @@ def _checked(name: str) -> PurePosixPath:
         or re.search(r"[\\\0]", name)
         or re.match(r"[A-Za-z]:", name)
     ):
-        raise ArchiveError(f"{name!r} leads out of the folder")
+        raise ArchiveError(f"{name[:200]!r} leads out of the folder")
+    if len(name) > _LONGEST_PATH or any(len(os.fsencode(p)) > _LONGEST_NAME for p in path.parts):
+        raise ArchiveError(
+            f"{name[:80]!r}... has {len(name)} characters; a path may have {_LONGEST_PATH}, and"
+            f" each name in it {_LONGEST_NAME} bytes"
+        )
     return path
 
 

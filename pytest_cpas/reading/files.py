@@ -27,7 +27,7 @@ _KINDS = {
 }
 
 
-class NoFileError(DataError):
+class NoFileError(DataError, FileNotFoundError):
     """There is no file of this name."""
 
 
@@ -51,22 +51,22 @@ def regular(path: Path) -> Path:
 def opened(path: Path, limit: int = LARGEST) -> Generator[BinaryIO]:
     """The file, open for reading, if it is a regular one of at most ``limit`` bytes.
 
-    Raises :class:`DataError`, also for what the system finds wrong while it is read.
+    Raises :class:`DataError`; reading it may raise OSError.
     """
     regular(path)
     try:
         # should a pipe have got its place meanwhile, opening it must not wait
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | _BINARY)
-        with os.fdopen(descriptor, "rb") as file:
-            status = os.fstat(descriptor)
-            _check_kind(path, status.st_mode)
-            if status.st_size > limit:
-                raise DataError(f"{path}: {status.st_size} bytes, at most {limit} are read")
-            yield file
     except FileNotFoundError as error:
         raise NoFileError(f"{path}: no such file") from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({_reason(error)})") from error
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        _check_kind(path, status.st_mode)
+        if status.st_size > limit:
+            raise DataError(f"{path}: {status.st_size} bytes, at most {limit} are read")
+        yield file
 
 
 _BINARY = getattr(os, "O_BINARY", 0)
@@ -74,14 +74,25 @@ _BINARY = getattr(os, "O_BINARY", 0)
 
 def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
     """The content of a regular file of at most ``limit`` bytes; else :class:`DataError`."""
+    return b"".join(_chunks(path, limit))
+
+
+def _chunks(path: Path, limit: int) -> Iterator[bytes]:
+    size = 0
     with opened(path, limit) as file:
-        size = os.fstat(file.fileno()).st_size  # reading sets aside as much as it is asked for
-        content = file.read(size + 1)
-        if len(content) > size:  # it grows, or the system does not know its size
-            content += file.read(limit + 1 - len(content))
-    if len(content) > limit:
-        raise DataError(f"{path}: it grows while it is read, at most {limit} bytes are read")
-    return content
+        # reading sets aside as much memory as it is asked for
+        step = min(os.fstat(file.fileno()).st_size + 1, 2**24)
+        while True:
+            try:
+                chunk = file.read(step)
+            except OSError as error:
+                raise DataError(f"{path}: cannot be read ({_reason(error)})") from error
+            if not chunk:
+                return
+            size += len(chunk)
+            if size > limit:
+                raise DataError(f"{path}: it grows, and at most {limit} bytes are read")
+            yield chunk
 
 
 def read_text(path: Path, limit: int = LARGEST, errors: str = "strict") -> str:
@@ -101,9 +112,8 @@ def decoded(path: Path, content: bytes, errors: str = "strict") -> str:
 def sha256(path: Path, limit: int = 2**40) -> str:
     """The SHA-256 of a regular file, in hexadecimal; :class:`DataError` if it cannot be read."""
     digest = hashlib.sha256()
-    with opened(path, limit) as file:
-        while chunk := file.read(2**20):
-            digest.update(chunk)
+    for chunk in _chunks(path, limit):
+        digest.update(chunk)
     return digest.hexdigest()
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -71,25 +71,27 @@ class Dtype:
                 "a dtype has fields, a shape, metadata or a state of unknown form; expected plain"
                 " numbers or text. Save each field as an array of its own"
             )
-        order, sizes = state[1], state[5:]
-        # objects, bytes and what has one byte have no order
-        orders = "|" if self.kind in "OS" or self.size == 1 else "<>"
-        if len(order) != 1 or order not in orders or sizes not in self._sizes():
-            raise Damaged(f"a dtype {self.code} has a state that no {self.code} has")
-        self.made = _OBJECT if self.kind == "O" else _made(order + self.code)
-
-    def _sizes(self) -> tuple[tuple[int, int, int], ...]:
-        """Size, alignment and flags; those of text said "needs initialisation", or did not."""
-        if self.kind == "U":
-            return ((self.size, 4, 8), (self.size, 4, 0))
-        if self.kind == "S":
-            return ((self.size, 1, 0),)
-        return ((-1, -1, 63 if self.kind == "O" else 0),)
+        self.made = _dtype_of(self.code, *state[1:2], *state[5:])
 
 
 _DTYPE_STATE = (int, str, *(type(None),) * 3, int, int, int)
-_OBJECT = np.dtype(object)
-_made = functools.lru_cache(256)(np.dtype)
+
+
+@functools.lru_cache(256)
+def _dtype_of(code: str, order: str, size: int, alignment: int, flags: int) -> np.dtype[Any]:
+    """The dtype with this code and state, if it has it."""
+    kind, width = code[0], int(code[1:] or 8)
+    # objects, bytes and what has one byte have no order
+    orders = ("|",) if kind in "OS" or (width == 1 and kind != "U") else ("<", ">")
+    states = {
+        # whether text needs initialisation was said by some versions
+        "U": ((4 * width, 4, 8), (4 * width, 4, 0)),
+        "S": ((width, 1, 0),),
+        "O": ((-1, -1, 63),),
+    }.get(kind, ((-1, -1, 0),))
+    if order not in orders or (size, alignment, flags) not in states:
+        raise Damaged(f"a dtype {code} has a state that no {code} has")
+    return np.dtype(object) if kind == "O" else np.dtype(order + code)
 
 
 class Unfilled:
@@ -107,7 +109,7 @@ class Unfilled:
         if type(state) is not tuple or len(state) != 5 or not _is(state[0], 1):
             raise Damaged("an array has a state of unknown form")
         _, shape, dtype, fortran, content = state
-        if type(fortran) not in (bool, int) or fortran not in (0, 1):
+        if fortran is not False and not _is(fortran, 0, 1):
             raise Damaged("an array is neither in C nor in Fortran order")
         if type(dtype) is Dtype and dtype.kind == "O":
             self.array = _objects(content, dtype, shape, budget)
@@ -117,11 +119,14 @@ class Unfilled:
 
 
 def _reconstruct(arguments: tuple[Any, ...], _: Budget) -> Unfilled | None:
-    if _types(arguments) in ((Name, tuple, bytes), (Name, tuple, str)):
-        kind, shape, code = arguments
-        if kind is _NDARRAY and len(shape) == 1 and _is(shape[0], 0) and code in (b"b", "b"):
-            return Unfilled()
+    if len(arguments) == 3 and arguments[0] is _NDARRAY:
+        _, shape, code = arguments
+        if type(shape) is tuple and len(shape) == 1 and _is(shape[0], 0):
+            return Unfilled() if type(code) in _CODES and _CODES[type(code)] == code else None
     return None
+
+
+_CODES: Mapping[type, object] = {bytes: b"b", str: "b"}
 
 
 def _dtype(arguments: tuple[Any, ...], _: Budget) -> Dtype | None:
@@ -247,6 +252,8 @@ def _array(
     if dtype.kind in "bU":
         budget.take(len(content))  # else looking at the same bytes a million times were free
         _check_items(items, dtype)
+    if len(shape) == 1:
+        return items
     return items.reshape(shape, order="F") if fortran else items.reshape(shape)
 
 

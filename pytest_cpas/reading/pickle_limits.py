@@ -19,6 +19,10 @@ MAX_MEMORY = 3 * MAX_FILE + 2**20
 #: twice). A run on REAL275 in one file has half a million.
 MAX_STEPS = 6_000_000
 
+#: Lists, tuples, dicts and arrays in what comes out, on one level. Were all poses of that run lists
+#: of lists, they would have 150,000.
+MAX_CONTAINERS = 1_000_000
+
 #: Levels of lists, tuples and dicts within each other.
 MAX_DEPTH = 64
 
@@ -34,12 +38,13 @@ MAX_INTEGER = 16
 MAX_KEY = 4096
 MAX_TUPLE_KEY = 16
 
-#: Steps that the keys of all dicts may need which are no text, were they made to collide. 30,000
-#: numbers in one dict stay below, or 7,000 tuples or numbers that are so large that many share a
-#: hash, for which each step compares two keys.
+#: Steps that the keys of all dicts may need which are no text, were they made to collide. A dict of
+#: 30,000 numbers stays below. Numbers so large that many share a hash are compared, and tuples part
+#: by part: 7,000 and 3,900 stay below.
 MAX_COLLISIONS = 500_000_000
-_COMPARISON = 16
 _WIDE = 2**60
+_WIDE_COSTS = 16
+_TUPLE_COSTS = 64
 
 
 class Damaged(DataError):
@@ -89,11 +94,11 @@ class Budget:
         plain = key.item() if isinstance(key, np.generic) else key
         if type(plain) is tuple and len(plain) <= MAX_TUPLE_KEY:
             parts = plain = tuple(_plain(part) for part in plain)
-            others *= _COMPARISON
+            others *= _TUPLE_COSTS
         else:
             parts = (plain,)
             if type(plain) in (int, float) and abs(plain) >= _WIDE:
-                others *= _COMPARISON
+                others *= _WIDE_COSTS
         for part in parts:
             if type(part) not in _KEYS:
                 raise DataError(
@@ -106,7 +111,7 @@ class Budget:
             self.collisions -= others
             if self.collisions < 0:
                 raise DataError(
-                    "it has too many keys that are not text, at most about 30000 numbers or 7000"
+                    "it has too many keys that are not text, at most about 30000 numbers or 3900"
                     " tuples in one dict are read"
                 )
         return plain
@@ -156,6 +161,11 @@ def check_values(root: Any) -> None:
                         _, before = below.get(id(value), (None, 0))
                         below[id(value)] = (value, before + times)
                         size += times * value.nbytes if type(value) is np.ndarray else 0
+                        if len(below) > MAX_CONTAINERS:
+                            raise DataError(
+                                f"it holds more than {MAX_CONTAINERS} lists, tuples, dicts and"
+                                " arrays on one level, at most as many are read"
+                            )
         if count > MAX_STEPS or size > MAX_MEMORY:
             raise DataError(
                 f"it holds more than {MAX_STEPS} values or {MAX_MEMORY} bytes, what it holds twice"

@@ -63,6 +63,10 @@ def _run(machine: Machine) -> Any:
             case 0x87 if len(stack) > 2:  # TUPLE3
                 stack[-3:] = [tuple(stack[-3:])]
                 at += 1
+            case 0x43 if at + 2 + content[at + 1] < end:  # SHORT_BINBYTES
+                begin = at + 2
+                at = begin + content[at + 1]
+                stack.append(content[begin:at])
             case 0x85 if stack:  # TUPLE1
                 stack[-1] = (stack[-1],)
                 at += 1

@@ -33,14 +33,11 @@ class Machine:
     def take(self, size: int) -> bytes:
         """The next ``size`` bytes."""
         begin = self.next
-        self.next = end = begin + size
-        if end > len(self.content):
-            raise Damaged(f"{size} bytes should follow, {len(self.content) - begin} do")
-        return self.content[begin:end]
-
-    def number(self, size: int) -> int:
-        """The next ``size`` bytes as an unsigned number."""
-        return int.from_bytes(self.take(size), "little")
+        self.next = begin + size
+        content = self.content[begin : begin + size]
+        if len(content) != size:
+            raise Damaged(f"{size} bytes should follow, {len(content)} do")
+        return content
 
     def line(self, limit: int) -> bytes:
         """The bytes up to the end of the line."""
@@ -75,6 +72,13 @@ class Machine:
         if not self.stack:
             raise Damaged("an opcode takes a value, and there is none")
         return self.stack.pop()
+
+    def pop_two(self) -> tuple[Any, Any]:
+        """The value on top of the stack, and the one below."""
+        stack = self.stack
+        if len(stack) < 2:
+            raise Damaged("an opcode takes two values, and there are none")
+        return stack.pop(), stack.pop()
 
     def top(self, kind: type, what: str) -> Any:
         """The value on top of the stack, which stays there."""

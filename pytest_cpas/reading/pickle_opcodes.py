@@ -51,7 +51,10 @@ _constant(b")", ())
 
 def _sized(code: bytes, size: int, push: Callable[[Machine, int], None]) -> None:
     """An opcode that a number of ``size`` bytes follows: a value, a length or a place."""
-    OPCODES[code[0]] = lambda machine: push(machine, machine.number(size))
+
+    @_opcode(code)
+    def carry_out(machine: Machine) -> None:
+        push(machine, int.from_bytes(machine.take(size), "little"))
 
 
 def _push(machine: Machine, number: int) -> None:
@@ -228,7 +231,7 @@ def _dict(machine: Machine) -> None:
 
 @_opcode(b"s")
 def _setitem(machine: Machine) -> None:
-    value, key = machine.pop(), machine.pop()
+    value, key = machine.pop_two()
     _add(machine, [key, value])
 
 
@@ -296,7 +299,7 @@ def _global(machine: Machine) -> None:
 
 @_opcode(b"\x93")
 def _stack_global(machine: Machine) -> None:
-    name, module = machine.pop(), machine.pop()
+    name, module = machine.pop_two()
     if type(name) is not str or type(module) is not str:
         raise Damaged("what is named is not given as two texts")
     machine.stack.append(machine.name(module, name))
@@ -304,7 +307,7 @@ def _stack_global(machine: Machine) -> None:
 
 @_opcode(b"R")
 def _reduce(machine: Machine) -> None:
-    arguments, function = machine.pop(), machine.pop()
+    arguments, function = machine.pop_two()
     if type(function) is not Name:
         machine.refuse(f"the pickle calls a {type(function).__name__}")
     made = function.call(arguments, machine.budget) if type(arguments) is tuple else None
@@ -315,7 +318,7 @@ def _reduce(machine: Machine) -> None:
 
 @_opcode(b"b")
 def _build(machine: Machine) -> None:
-    state, target = machine.pop(), machine.pop()
+    state, target = machine.pop_two()
     if type(target) is Dtype:
         target.build(state)
         machine.stack.append(target)

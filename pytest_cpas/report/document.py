@@ -53,6 +53,7 @@ from pytest_cpas.protocols import (
     count_columns,
     score_columns,
 )
+from pytest_cpas.report.lacking import lacking
 from pytest_cpas.report.published import points, published_count, published_document
 from pytest_cpas.types import Required, Verdict
 from pytest_cpas.types.samples import ALL
@@ -128,13 +129,11 @@ def run_document(
     ]
     # workers send them in any order
     checks = [_contract(result) for result in sorted(contract, key=lambda result: result.check)]
-    broken = problems or errors or any(c["status"] in ("violated", "gone") for c in checks)
-    slower = speed is not None and speed["verdict"]["outcome"] == "failed"
     return {
         "method": run.method,
         "dataset": run.dataset,
         "published_as": published,
-        "outcome": "failed" if broken or slower else worst(v["outcome"] for v in verdict_documents),
+        "outcome": run_outcome(problems or errors, checks, speed, verdict_documents),
         "judged": len(new.samples),
         "listed": sum(run.listed.values()),
         "unanswered": sum(bool(sample.failure) for sample in new.samples.values()),
@@ -151,6 +150,7 @@ def run_document(
         "precision": _precision(new, golden, published, guard=False),
         "guards": _precision(new, golden, published, guard=True),
         "scores": _scores(new, golden),
+        "lacking": lacking(new),
         "curves": _curves(new),
         "flips": _flips(new, golden),
         "samples": _samples(run, new, golden, errors) if samples else [],
@@ -160,6 +160,20 @@ def run_document(
         "definitions": dict(run.definitions),
         "provenance": dict(run.provenance),
     }
+
+
+def run_outcome(
+    broken: Collection[object],
+    contract: Iterable[ContractDocument],
+    speed: SpeedDocument | None,
+    verdicts: Iterable[VerdictDocument],
+) -> ItemOutcome:
+    """The outcome of a run; ``broken``: what is wrong with its data and its samples."""
+    violated = any(check["status"] in ("violated", "gone") for check in contract)
+    slower = speed is not None and speed["verdict"]["outcome"] == "failed"
+    if broken or violated or slower:
+        return "failed"
+    return worst(verdict["outcome"] for verdict in verdicts)
 
 
 def worst(outcomes: Iterable[ItemOutcome]) -> ItemOutcome:
@@ -235,8 +249,8 @@ def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
                 {
                     "category": category,
                     "score": label(column),
-                    "measured": _finite(score.value) if score else None,
-                    "golden": _finite(before.value) if before else None,
+                    "measured": _short(score.value) if score else None,
+                    "golden": _short(before.value) if before else None,
                     "samples": score.samples if score else 0,
                     "better": column.better,
                     "share": not (isinstance(column, ScoreColumn) and column.median),
@@ -250,8 +264,8 @@ def _in_order(categories: Collection[str]) -> list[str]:
     return sorted(categories, key=lambda name: (name == ALL, name))
 
 
-def _finite(value: float) -> float | None:
-    """As golden tables keep it: the last bits are those of a process, not of a run."""
+def _short(value: float) -> float | None:
+    """For people; None if it is infinite."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
@@ -332,19 +346,21 @@ def _samples(
     for name in sorted({*new.samples, *errors}):
         judged = new.samples.get(name)
         facts = {
-            fact: None if value is None else _finite(value)
-            for fact, value in (judged.facts if judged else {}).items()
+            name: value
+            for name, value in (judged.facts if judged else {}).items()
+            if value is None or math.isfinite(value)
         }
+        shown = {name: None if value is None else _short(value) for name, value in facts.items()}
         samples.append(
             {
                 "sample": name,
                 "category": judged.category if judged else category[name],
                 "outcome": _outcome(judged, new, new) if judged else None,
                 "golden": _outcome(old[name], golden, new) if golden and name in old else None,
-                "position_m": facts.get("position_m"),
-                "rotation_deg": facts.get("rotation_deg"),
-                "iou": facts.get("iou"),
-                "fscore_1cm": facts.get("fscore_1cm"),
+                "position_m": shown.get("position_m"),
+                "rotation_deg": shown.get("rotation_deg"),
+                "iou": shown.get("iou"),
+                "fscore_1cm": shown.get("fscore_1cm"),
                 "facts": facts,
                 "failure": judged.failure if judged else None,
                 "error": None if judged else errors[name],

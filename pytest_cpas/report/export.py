@@ -5,13 +5,25 @@ from __future__ import annotations
 import csv
 import io
 import itertools
+import re
 from collections.abc import Iterator, Sequence
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.documents import Document, RunDocument
+from pytest_cpas.protocols import PAPER
 from pytest_cpas.reading.text import csv_cell, latex
 from pytest_cpas.report.messages import method_title
-from pytest_cpas.report.tables import Cell, Line, Paper, category_tables, groups, precision_table
+from pytest_cpas.report.tables import (
+    Cell,
+    Line,
+    Paper,
+    category_tables,
+    groups,
+    of_protocols,
+    precision_table,
+    split_label,
+)
+from pytest_cpas.types.samples import ALL
 
 #: Data sets beside each other in a table.
 _BESIDE = 2
@@ -21,6 +33,7 @@ _COLUMNS = (
     "method",
     "source",
     "category",
+    "protocol",
     "column",
     "correct_low",
     "correct_high",
@@ -31,22 +44,25 @@ _COLUMNS = (
 #: How the best three of a column are marked.
 _MARKS = ("{}", r"\textbf{{{}}}", r"\underline{{{}}}", r"\textit{{{}}}")
 
+#: What the cell of the best begins with.
+_BEST = _MARKS[1].partition("{{")[0]
+
 _PLACES = ("first", "second", "third")
 
 
 def precision_csv(document: Document) -> str:
-    """One line per data set, method, category and joint threshold; what is n/a has none.
+    """One line per data set, method, category and column that counts; what is n/a has none.
 
-    ``source`` is measured or paper. Between ``correct_low`` and ``correct_high`` of ``total``
-    samples are correct: the same number, unless the paper's print leaves it open. The means and
-    medians of scores stand in a second table, of :func:`scores_csv`. Names are cells of
-    :func:`pytest_cpas.reading.text.csv_cell`.
+    ``source`` is measured or paper; ``column`` is the label of a column of ``protocol``. Between
+    ``correct_low`` and ``correct_high`` of ``total`` samples are correct: the same number, unless
+    the paper's print leaves it open. The means and medians of scores stand in a second table, of
+    :func:`scores_csv`.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
     for where, threshold, low, high, total in _counts(document):
-        texts = map(csv_cell, (*where, threshold))
+        texts = map(csv_cell, (*where, *split_label(threshold)))
         writer.writerow((*texts, low, high, total, f"{low / total:.4f}"))
     return text.getvalue()
 
@@ -75,39 +91,81 @@ def scores_csv(document: Document) -> str:
     """One line per data set, method, category and score; what is n/a has none."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("dataset", "method", "category", "column", "samples", "value"))
+    writer.writerow(("dataset", "method", "category", "protocol", "column", "samples", "value"))
     for run in document["runs"]:
         for entry in run["scores"]:
             if (value := entry["measured"]) is not None:
                 where = (run["dataset"], run["method"], entry["category"])
-                writer.writerow((*where, entry["score"], entry["samples"], f"{value:.6g}"))
+                texts = map(csv_cell, (*where, *split_label(entry["score"])))
+                writer.writerow((*texts, entry["samples"], f"{value:.6g}"))
     return text.getvalue()
 
 
 def precision_tex(document: Document) -> str:
-    r"""Tables for booktabs, to be taken in with ``\input``: over all categories, and per category.
+    r"""Tables for booktabs, to be taken in with ``\input``: over all categories, and per category;
+    then what is guarded, and the scores.
 
     Precision has four decimals, as in the paper; the best three of a column are marked.
     """
-    thresholds = document["thresholds"]
+    thresholds = of_protocols(document["thresholds"])
     shown = [
         group for group in groups(document) if not RobustnessPoint.named(group[1][0]["dataset"])
     ]
     lines = [r"% Precision by pytest-cpas. Needs \usepackage{booktabs}."]
-    for first in range(0, len(shown), _BESIDE):
-        lines += _overall(shown[first : first + _BESIDE], thresholds)
+    for protocol, own in thresholds.items():
+        for first in range(0, len(shown), _BESIDE):
+            lines += _overall(shown[first : first + _BESIDE], protocol, own)
     for title, runs, published in shown:
-        for threshold, categories, table in category_tables(thresholds, runs, published):
+        for threshold, categories, table in category_tables(
+            document["thresholds"], runs, published
+        ):
             lines += _table(
                 f"Precision on {latex(title)} per category at {_threshold(threshold)}.",
                 [[latex(category) for category in categories]],
-                [(_method(line), line.cells) for line in table],
+                [(_method(line), _precision(line.cells)) for line in table],
             )
+    for title, runs, _ in shown:
+        for protocol, own in of_protocols(document["guards"]).items():
+            table = precision_table(own, runs, {})
+            known = [index for index in range(len(own)) if any(line.cells[index] for line in table)]
+            lines += _table(
+                f"Guarded columns{_under(protocol)} on {latex(title)}.",
+                [[_own(own[index]) for index in known]],
+                [(_method(line), _precision([line.cells[i] for i in known])) for line in table],
+            )
+        lines += _scores(title, runs)
     return "\n".join(lines) + "\n"
 
 
+def _scores(title: str, runs: Sequence[RunDocument]) -> Iterator[str]:
+    """Per protocol the scores over all categories."""
+    known: dict[str, dict[str, str]] = {}
+    for run in runs:
+        for entry in run["scores"]:
+            if entry["category"] == ALL and entry["measured"] is not None:
+                told = f"{entry['measured']:{'.4f' if entry['share'] else '.4g'}}"
+                known.setdefault(entry["score"], {})[run["method"]] = told
+    for protocol, own in of_protocols(known).items():
+        yield from _table(
+            f"Scores{_under(protocol)} on {latex(title)}.",
+            [[_own(label) for label in own]],
+            [
+                (latex(run["method"]), [known[label].get(run["method"], "n/a") for label in own])
+                for run in runs
+            ],
+        )
+
+
+def _under(protocol: str) -> str:
+    return "" if protocol == PAPER else f" of {latex(protocol)}"
+
+
+def _own(label: str) -> str:
+    return _threshold(split_label(label)[1])
+
+
 def _overall(
-    shown: Sequence[tuple[str, list[RunDocument], Paper]], thresholds: Sequence[str]
+    shown: Sequence[tuple[str, list[RunDocument], Paper]], protocol: str, thresholds: Sequence[str]
 ) -> Iterator[str]:
     """The table of some data sets beside each other; a method has one line."""
     tables = [precision_table(thresholds, runs, published) for _, runs, published in shown]
@@ -118,10 +176,10 @@ def _overall(
     for name in sorted(names, key=lambda name: name[1]):  # what was measured first
         beside = [lines.get(name) for lines in known]
         cells = itertools.chain.from_iterable(line.cells if line else nothing for line in beside)
-        lines.append((next(_method(line) for line in beside if line), list(cells)))
+        lines.append((next(_method(line) for line in beside if line), _precision(list(cells))))
     yield from _table(
-        f"Precision on {' and '.join(latex(title) for title, *_ in shown)}.",
-        [[_threshold(label) for label in thresholds] for _ in shown],
+        f"Precision{_under(protocol)} on {' and '.join(latex(title) for title, *_ in shown)}.",
+        [[_own(label) for label in thresholds] for _ in shown],
         lines,
         titles=[latex(title) for title, *_ in shown],
     )
@@ -130,12 +188,14 @@ def _overall(
 def _table(
     caption: str,
     heads: Sequence[Sequence[str]],
-    lines: Sequence[tuple[str, Sequence[Cell | None]]],
+    lines: Sequence[tuple[str, Sequence[str]]],
     titles: Sequence[str] = (),
 ) -> Iterator[str]:
     """A table whose columns stand in groups of ``heads``, each below its title if there are any."""
     columns = sum(map(len, heads))
-    if any(cell.rank for _, cells in lines for cell in cells if cell):
+    if not columns:
+        return
+    if any(cell.startswith(_BEST) for _, cells in lines for cell in cells):
         places = zip(_MARKS[1:], _PLACES, strict=True)
         caption += f" Best three: {'; '.join(mark.format(word) for mark, word in places)}."
     yield from ("", r"\begin{table*}", r"  \centering")
@@ -153,7 +213,7 @@ def _table(
     yield rf"    Method & {' & '.join(itertools.chain.from_iterable(heads))} \\"
     yield r"    \midrule"
     for method, cells in lines:
-        yield rf"    {method} & {' & '.join(map(_cell, cells))} \\"
+        yield rf"    {method} & {' & '.join(cells)} \\"
     yield from (r"    \bottomrule", r"  \end{tabular}", r"\end{table*}")
 
 
@@ -161,17 +221,21 @@ def _method(line: Line) -> str:
     return latex(method_title(line.method, line.paper))
 
 
-def _cell(cell: Cell | None) -> str:
-    return "n/a" if cell is None else _MARKS[cell.rank].format(f"{cell.share:.4f}")
+def _precision(cells: Sequence[Cell | None]) -> list[str]:
+    return [
+        "n/a" if cell is None else _MARKS[cell.rank].format(f"{cell.share:.4f}") for cell in cells
+    ]
 
 
 def _threshold(label: str) -> str:
-    """The label of a joint threshold, in signs."""
+    """The label of a column, its limits in signs."""
     parts = []
     for part in label.split(", "):
-        value, _, unit = part.partition(" ")
-        if value == "F":
-            parts.append(rf"$F \geq {unit}$")
-        else:
+        if score := re.fullmatch(r"F ([\d.]+)", part):
+            parts.append(rf"$F \geq {score[1]}$")
+        elif limit := re.fullmatch(r"([\d.]+) (deg|cm|mm)", part):
+            value, unit = limit.groups()
             parts.append(rf"${value}^\circ$" if unit == "deg" else rf"{value}\,{unit}")
+        else:
+            parts.append(latex(part))
     return ", ".join(parts)

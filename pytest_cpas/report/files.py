@@ -16,7 +16,8 @@ from pytest_cpas.report.page import page
 def write_report(
     document: Document, folder: Path, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]
 ) -> None:
-    """Write ``report.json``, ``report.md``, ``report.html``, ``precision.csv``, ``precision.tex``.
+    """Write ``report.json``, ``.md`` and ``.html``, ``precision.csv``, ``scores.csv`` and
+    ``precision.tex``.
 
     Each is written as a whole or not at all.
 

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Literal
 
-from pytest_cpas.documents import AgainstDocument, Document, FlipDocument, RunDocument
+from pytest_cpas.documents import (
+    AgainstDocument,
+    ChangeDocument,
+    Document,
+    FlipDocument,
+    RunDocument,
+)
 from pytest_cpas.reading.text import markdown as _text
 from pytest_cpas.reading.text import markdown_fence
 from pytest_cpas.report.messages import (
@@ -16,6 +23,7 @@ from pytest_cpas.report.messages import (
     outcome_message,
     pair_lines,
     pair_title,
+    run_title,
     speed_lines,
     troubles,
     verdicts_message,
@@ -24,12 +32,18 @@ from pytest_cpas.report.messages import (
 from pytest_cpas.report.tables import (
     Cell,
     Line,
+    SideCell,
     category_lines,
     category_tables,
     column_count,
     groups,
+    labels,
+    of_protocols,
     other_cells,
     precision_table,
+    protocol_title,
+    side_tables,
+    split_label,
 )
 
 #: Lines of one kind before the rest is only counted: a job page takes 1 MiB.
@@ -62,14 +76,16 @@ def _lines(document: Document) -> Iterator[str]:
     for run in document["runs"]:
         yield from _troubles(run)
     if "against" in document:
-        yield from _against(document["against"], document["thresholds"])
+        yield from _against(document["against"])
     thresholds = document["thresholds"]
     for title, runs, published in groups(document):
         yield f"## {_text(title)}"
         yield ""
-        yield from _methods(["correct", *thresholds], precision_table(thresholds, runs, published))
+        for protocol, own in of_protocols(thresholds).items():
+            lines = precision_table(own, runs, published)
+            yield from _methods(_head("correct", protocol, own), lines)
         for threshold, categories, lines in category_tables(thresholds, runs, published):
-            yield f"<details><summary>per category at {threshold}</summary>"
+            yield f"<details><summary>per category at {_text(threshold)}</summary>"
             yield ""
             yield from _methods(["correct", *map(_text, categories)], lines)
             yield "</details>"
@@ -77,7 +93,8 @@ def _lines(document: Document) -> Iterator[str]:
     for run in document["runs"]:
         yield from _speed(run)
     for run in document["runs"]:
-        yield from _categories(run, document["thresholds"])
+        yield from _categories(run)
+        yield from _beside(run)
 
 
 def _methods(head: Sequence[str], lines: Sequence[Line]) -> Iterator[str]:
@@ -121,7 +138,7 @@ def _flips(flips: Sequence[FlipDocument], every: int) -> Iterator[str]:
                 _text(flip["sample"]),
                 _text(flip["before"]),
                 _text(flip["after"]),
-                flip_message(flip, every),
+                _text(flip_message(flip, every)),
             ]
             for flip in flips[:_SHOWN]
         ],
@@ -130,22 +147,19 @@ def _flips(flips: Sequence[FlipDocument], every: int) -> Iterator[str]:
     yield from _rest(len(flips))
 
 
-def _against(against: AgainstDocument, thresholds: Sequence[str]) -> Iterator[str]:
+def _against(against: AgainstDocument) -> Iterator[str]:
     """The runs beside those of another one."""
     for pair in against["pairs"]:
         yield f"## {_text(pair_title(pair))}"
         yield ""
         yield from _fenced(pair_lines(pair))
-        yield from _table(
-            ["before → now", *thresholds],
-            [
-                [
-                    _text(category),
-                    *("<br>".join(filter(None, change_messages(entry))) for entry in entries),
-                ]
-                for category, entries in category_lines(pair["precision"])
-            ],
-        )
+        yield from _changes(pair["precision"])
+        if pair["guards"]:
+            yield "<details><summary>guards</summary>"
+            yield ""
+            yield from _changes(pair["guards"])
+            yield "</details>"
+            yield ""
         if pair["flips"]:
             yield from _flips(worst_flips_first(pair["flips"]), column_count(pair))
     if against["unpaired"]:
@@ -154,24 +168,75 @@ def _against(against: AgainstDocument, thresholds: Sequence[str]) -> Iterator[st
         yield from _fenced(against["unpaired"])
 
 
-def _categories(run: RunDocument, thresholds: Sequence[str]) -> Iterator[str]:
+def _changes(entries: Sequence[ChangeDocument]) -> Iterator[str]:
+    for protocol, own in of_protocols(labels(entries)).items():
+        yield from _table(
+            _head("before → now", protocol, own),
+            [
+                [
+                    _text(category),
+                    *("<br>".join(filter(None, change_messages(entry))) for entry in changes),
+                ]
+                for category, changes in category_lines(entries, own)
+            ],
+        )
+
+
+def _categories(run: RunDocument) -> Iterator[str]:
     yield f"<details><summary>{_text(run['method'])} on {_text(run['dataset'])}"
     yield "per category, with golden and published precision</summary>"
     yield ""
-    lines = []
-    for category, entries in category_lines(run["precision"]):
-        cells = []
-        for entry in entries:
-            parts = [_count(Cell.measured(entry["measured"])) if entry["measured"] else "n/a"]
-            parts += [f"{source} {cell.percent}" for source, cell in other_cells(entry)]
-            cells.append("<br>".join(parts))
-        lines.append([_text(category), *cells])
-    yield from _table(["correct", *thresholds], lines)
+    for protocol, own in of_protocols(labels(run["precision"])).items():
+        lines = []
+        for category, entries in category_lines(run["precision"], own):
+            cells = []
+            for entry in entries:
+                parts = [_count(Cell.measured(entry["measured"])) if entry["measured"] else "n/a"]
+                parts += [f"{source} {cell.percent}" for source, cell in other_cells(entry)]
+                cells.append("<br>".join(parts))
+            lines.append([_text(category), *cells])
+        yield from _table(_head("correct", protocol, own), lines)
+    for line in run["lacking"]:
+        yield f"- n/a: {_text(line)}"
+    if run["lacking"]:
+        yield ""
     if message := contract_message(run["contract"]):
         yield _text(message)
         yield ""
     yield "</details>"
     yield ""
+
+
+def _beside(run: RunDocument) -> Iterator[str]:
+    """What is guarded, and the scores, folded; what got worse than its golden cell is bold."""
+    kinds: tuple[Literal["guards", "scores"], ...] = ("guards", "scores")
+    for kind in kinds:
+        tables = list(side_tables(run, kind))
+        if not tables:
+            continue
+        yield f"<details><summary>{_text(run_title(run))}: {kind}</summary>"
+        yield ""
+        for table in tables:
+            yield from _table(
+                [_text(table.title), *map(_text, table.columns)],
+                [
+                    [_text(category), *map(_side_cell, cells)]
+                    for category, cells in table.lines.items()
+                ],
+            )
+        yield "</details>"
+        yield ""
+
+
+def _side_cell(cell: SideCell) -> str:
+    told = f"**{cell.measured}**" if cell.worse else cell.measured
+    return f"{told}<br>golden {cell.golden}" if cell.golden else told
+
+
+def _head(words: str, protocol: str, own: Sequence[str]) -> list[str]:
+    """The first line of a table that has the columns of a protocol."""
+    title = protocol_title(words, protocol)
+    return [_text(title), *(_text(split_label(label)[1]) for label in own)]
 
 
 def _cell(cell: Cell | None) -> str:

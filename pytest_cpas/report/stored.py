@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import MergedRun, Row, SampleError, merge
@@ -12,8 +12,12 @@ from pytest_cpas.golden import RunTable
 from pytest_cpas.protocols import Protocol
 from pytest_cpas.reading.structured import read_json
 from pytest_cpas.report.document import FORMAT, run_document
+from pytest_cpas.report.rejudged import rejudged_run
 from pytest_cpas.report.tables import labels
 from pytest_cpas.types import DataError
+
+#: What of a sample has a character for each column.
+_OUTCOMES: tuple[Literal["outcome", "golden"], ...] = ("outcome", "golden")
 
 
 class StoredReportError(Exception):
@@ -47,7 +51,7 @@ def read_report(path: Path) -> Document:
     columns = [*document["thresholds"], *document["guards"]]
     for run in document["runs"]:
         own = [*labels(run["precision"]), *labels(run["guards"])]
-        outcomes = [sample["outcome"] for sample in run["samples"] if sample["outcome"] is not None]
+        outcomes = [text for s in run["samples"] for key in _OUTCOMES if (text := s[key])]
         if (own and own != columns) or any(len(text) != len(columns) for text in outcomes):
             raise StoredReportError(
                 f"{path}: the columns of {run['method']} on {run['dataset']} are not those that it"
@@ -61,13 +65,16 @@ def read_runs(
 ) -> list[RunDocument]:
     """The documents of the runs in reports (``.json``) and results files.
 
-    Results are judged under ``protocols``, the paper's if None; reports are as they were judged.
+    They are judged under ``protocols``, where the rows have the facts; if None, results are judged
+    under the paper's, and reports are as they were judged.
     The results files of the shards of a run are put together; parts may be missing. Raises
     :class:`StoredReportError`, and :class:`pytest_cpas.evaluation.results.ResultsError`.
     """
     reports = [path for path in paths if path.suffix == ".json"]
     results = [path for path in paths if path.suffix != ".json"]
     runs = [run for path in reports for run in read_report(path)["runs"]]
+    if protocols is not None:
+        runs = [rejudged_run(run, protocols) for run in runs]
     runs += [_judged(run) for run in merge(results, allow_gaps=True, protocols=protocols)]
     names = [(run["method"], run["dataset"]) for run in runs]
     for method, dataset in names:

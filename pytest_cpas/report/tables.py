@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias, TypeVar
+from typing import Literal, TypeAlias, TypeVar
 
 from pytest_cpas.documents import (
     ChangeDocument,
@@ -15,7 +15,9 @@ from pytest_cpas.documents import (
     PublishedCountDocument,
     PublishedMethodDocument,
     RunDocument,
+    ScoreDocument,
 )
+from pytest_cpas.protocols import PAPER
 from pytest_cpas.types.samples import ALL
 
 #: What the paper prints of a data set, by method.
@@ -133,6 +135,95 @@ def _lines(
     ]
 
 
+def split_label(label: str) -> tuple[str, str]:
+    """The name of a column's protocol, and its own label: as of :func:`.document.label`."""
+    protocol, found, own = label.partition(": ")
+    return (protocol, own) if found else (PAPER, label)
+
+
+def of_protocols(columns: Iterable[str]) -> dict[str, list[str]]:
+    """The labels of columns by the name of their protocol, in order."""
+    groups: dict[str, list[str]] = {}
+    for label in columns:
+        groups.setdefault(split_label(label)[0], []).append(label)
+    return groups
+
+
+def protocol_title(words: str, protocol: str) -> str:
+    """What a table of a protocol is called; of the paper's, the words alone."""
+    return words if protocol == PAPER else f"{protocol}: {words}"
+
+
+@dataclass(frozen=True)
+class SideCell:
+    """A cell that is guarded, or a score: as measured, and as recorded if that is another."""
+
+    measured: str
+    golden: str
+    worse: bool
+
+
+@dataclass(frozen=True)
+class SideTable:
+    """Guards or scores of a run under one protocol: a line of cells per category."""
+
+    title: str
+    columns: Sequence[str]
+    lines: Mapping[str, Sequence[SideCell]]
+
+
+def side_tables(run: RunDocument, kind: Literal["guards", "scores"]) -> Iterator[SideTable]:
+    """The tables of a run beside its main ones; columns in which nothing is known are left out."""
+    cells: dict[str, dict[str, SideCell]] = {}
+    if kind == "guards":
+        for entry in run["guards"]:
+            cells.setdefault(entry["threshold"], {})[entry["category"]] = _guard(entry)
+    else:
+        for score in run["scores"]:
+            cells.setdefault(score["score"], {})[score["category"]] = _score(score)
+    known = [
+        label
+        for label, column in cells.items()
+        if any(cell.measured != _UNKNOWN or cell.golden for cell in column.values())
+    ]
+    for protocol, own in of_protocols(known).items():
+        yield SideTable(
+            protocol_title(kind, protocol),
+            [split_label(label)[1] for label in own],
+            {category: [cells[label][category] for label in own] for category in cells[own[0]]},
+        )
+
+
+#: A cell of which nothing is known.
+_UNKNOWN = "n/a"
+
+
+def _guard(entry: PrecisionDocument) -> SideCell:
+    now, before = entry["measured"], entry["golden"]
+    told = Cell.measured(now).percent if now else _UNKNOWN
+    if before is None or now == before:
+        return SideCell(told, "", worse=False)
+    recorded = Cell.measured(before)
+    lost = now is not None and Cell.measured(now).share < recorded.share
+    return SideCell(told, recorded.percent, worse=lost)
+
+
+def _score(entry: ScoreDocument) -> SideCell:
+    now, before = entry["measured"], entry["golden"]
+
+    def words(value: float) -> str:
+        return f"{100 * value:.1f} %" if entry["share"] else f"{value:.4g}"
+
+    if now is not None:
+        told = words(now)
+    else:
+        told = "infinite" if entry["samples"] else _UNKNOWN
+    if before is None or now == before:
+        return SideCell(told, "", worse=False)
+    lost = now is None or (now > before if entry["better"] == "lower" else now < before)
+    return SideCell(told, words(before), worse=lost)
+
+
 def labels(entries: Sequence[_Entry]) -> list[str]:
     """The labels of the columns of a run, or of two, in order."""
     return list(dict.fromkeys(entry["threshold"] for entry in entries))
@@ -143,17 +234,20 @@ def column_count(run: RunDocument | PairDocument) -> int:
     return len(labels([*run["precision"], *run["guards"]]))
 
 
-def category_lines(entries: Sequence[_Entry]) -> Iterator[tuple[str, list[_Entry]]]:
-    """The precision of a run, or of two, per category: the entries in order of the thresholds."""
-    for category in dict.fromkeys(entry["category"] for entry in entries):
-        yield category, [entry for entry in entries if entry["category"] == category]
+def category_lines(
+    entries: Sequence[_Entry], columns: Collection[str]
+) -> Iterator[tuple[str, list[_Entry]]]:
+    """The precision of a run, or of two, per category: the entries of some columns, in order."""
+    own = [entry for entry in entries if entry["threshold"] in columns]
+    for category in dict.fromkeys(entry["category"] for entry in own):
+        yield category, [entry for entry in own if entry["category"] == category]
 
 
 def measured_cells(run: RunDocument) -> dict[tuple[str, str], Cell]:
     """By category and threshold; what is n/a is left out."""
     return {
         (entry["category"], entry["threshold"]): Cell.measured(count)
-        for entry in run["precision"]
+        for entry in (*run["precision"], *run["guards"])
         if (count := entry["measured"]) is not None
     }
 

@@ -112,11 +112,8 @@ class CollectedRun:
         if self._file is not None and reused:
             of = " of another program" if self._file.another_program else ""
             parts.append(f"reused {reused}{of} from {self._file.path}")
-        if self._file is not None and self._file.rows_not_reused:
-            parts.append(
-                f"not reused {self._file.rows_not_reused} of another program"
-                f" ({'; '.join(self._file.not_reused)})"
-            )
+        if self._file is not None and self._file.set_aside and self._file.set_aside.rows:
+            parts.append(str(self._file.set_aside))
         if excluded := self.excluded(self.run.listed):
             parts.append(f"not asked for {' '.join(sorted(excluded))}")
         return ", ".join(parts)

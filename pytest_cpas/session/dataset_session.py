@@ -86,11 +86,6 @@ class DatasetSession(SuiteSession):
                     verdict.details or "there is nothing that it could judge",
                     known=verdict.word is DatasetWord.KNOWN,
                 )
-        self.failed_runs = [
-            checked.name
-            for checked, verdicts in self._verdicts.items()
-            if any(verdict.outcome(require_golden=False) == "failed" for verdict in verdicts)
-        ]
         self.verdicts_told = True
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:

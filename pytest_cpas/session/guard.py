@@ -22,12 +22,14 @@ import threading
 import time
 import warnings
 from argparse import Namespace
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
 import pytest
+
+from pytest_cpas.session.seen_items import SeenItems, below
 
 #: Options that make a run whose verdicts are owed, and those that only show something.
 _ASK = (
@@ -154,17 +156,15 @@ def guard(config: pytest.Config, parser: pytest.Parser) -> None:
 def watch(config: pytest.Config, record: Record | None = None) -> None:
     """Guard the run inside this process, unless it is guarded or is a worker's."""
     if not config.pluginmanager.has_plugin("cpas-guard") and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(Guard(record or Record()), "cpas-guard")
+        items = SeenItems.register(config)
+        config.pluginmanager.register(Guard(record or Record(), items), "cpas-guard")
 
 
 class Guard:
     """What happens to the verdicts of a run, seen from outside all other plugins."""
 
-    def __init__(self, record: Record) -> None:
-        self.record = record
-        self._due: set[str] = set()
-        self._done: set[str] = set()
-        self._failed: list[str] = []
+    def __init__(self, record: Record, items: SeenItems) -> None:
+        self.record, self._items = record, items
         self._status: int | None = None
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -177,28 +177,9 @@ class Guard:
                 error
             )
 
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_xdist_node_collection_finished(self, ids: Sequence[str]) -> None:
-        """What a worker is to run."""
-        self._due.update(ids)
-
-    @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
-        """What is to be run without workers."""
-        self._due.update(item.nodeid for item in session.items)
-        return (yield)
-
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         """An item begins."""
         self.record.begin(nodeid)
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """An item ends, or fails."""
-        if report.failed:
-            self._failed.append(report.nodeid)
-        if report.failed or report.when == "teardown":
-            self._done.add(report.nodeid)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_keyboard_interrupt(self) -> None:
@@ -238,18 +219,17 @@ class Guard:
         # what has verdicts is a SuiteSession, which imports too much to be named here
         sessions = [p for p in config.pluginmanager.get_plugins() if hasattr(p, "verdicts_told")]
         nodes = {session.node for session in sessions}
-        undone = sorted(i for i in self._due - self._done if i.partition("::")[0] in nodes)
-        failed = [i for i in self._failed if i.partition("::")[0] in nodes]
+        items = self._items
+        undone = sorted(below(nodes, items.selected - items.ended))
         if self._status is None:
             return "pytest ended before its session was over, and told no verdict"
         if undone:
             return f"{len(undone)} items were collected and never ended, such as {undone[0]}"
-        if not any(item.partition("::")[0] in nodes for item in self._due):
+        if not below(nodes, items.selected):
             return "no item of the run that was asked for was collected and selected"
         if not sessions or not all(session.verdicts_told for session in sessions):
             return "pytest ended and told no verdict"
-        failed += [run for session in sessions for run in session.failed_runs]
-        if failed:
+        if failed := below(nodes, items.failed(nodes)):
             return f"{failed[0]} failed, and a plugin made that a success"
         return ""
 

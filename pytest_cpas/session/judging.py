@@ -67,6 +67,13 @@ def judge(collected: CollectedRun, folder: Path, *, alarm: float = ALARM) -> Jud
     table = RunTable.of(collected.run, collected.ordered_rows)
     golden, damage = _golden(collected.run, folder)
     verdicts = [damage] if damage else _verdicts(collected, table, golden, alarm)
+    hint = _more_seeds_needed(collected.run, golden) if golden else []
+    verdicts = [
+        verdict
+        if verdict.passed
+        else replace(verdict, details="\n  ".join([verdict.details, *hint]))
+        for verdict in verdicts
+    ]
     return _explained(collected, table, golden, verdicts)
 
 
@@ -88,6 +95,7 @@ def record_run(
             raise GoldenError("the contract of the method was not checked; leave out -k")
         written = record(folder, table)
         lines = [str(written), *recorded_words(read_golden(written), alarm)]
+        lines += _more_seeds_needed(run, table)
         verdict = Verdict(Word.RECORDED, ALL, "\n  ".join(lines))
     except GoldenError as error:
         verdict = Verdict(Word.NOT_RECORDED, ALL, str(error))
@@ -134,6 +142,17 @@ def _explained(
         verdicts=[_with_reasons(verdict, explanations) for verdict in verdicts],
         explanations=explanations,
     )
+
+
+def _more_seeds_needed(run: Run, golden: RunTable) -> list[str]:
+    """What to do about a table of one seed of a method whose answers vary."""
+    if run.info is None or run.info.deterministic or golden.seeds > 1:
+        return []
+    return [
+        f"note: {run.method} declares deterministic=False, and the golden table is of one seed,"
+        " beside which no flip is allowed; record several seeds of the same program (--cpas-jitter"
+        " 10 --snapshot-update)"
+    ]
 
 
 def _with_reasons(verdict: Verdict, explanations: Sequence[Explanation]) -> Verdict:

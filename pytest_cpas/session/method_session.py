@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,14 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas.documents import RunDocument
-from pytest_cpas.evaluation import Limit, MethodRun, ResultsError, Run
+from pytest_cpas.evaluation import (
+    Limit,
+    MethodRun,
+    ResultsError,
+    Run,
+    found_programs,
+    take_programs,
+)
 from pytest_cpas.golden import orphans
 from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
@@ -32,6 +39,7 @@ from pytest_cpas.session.options import RunOptions
 from pytest_cpas.session.protocol_names import resolve_protocols
 from pytest_cpas.session.reporting import Reporter
 from pytest_cpas.session.resolution import open_results, read_others, resolve_runs
+from pytest_cpas.session.seen_items import seen_items
 from pytest_cpas.session.suite_session import (
     SuiteSession,
     end_run,
@@ -47,6 +55,9 @@ __all__ = ["ITEM_RESULT", "CpasSession", "cpas_session"]
 #: Where an item keeps what it found out.
 ITEM_RESULT = pytest.StashKey[ItemResult]()
 
+#: Where a worker's input has the programs of its methods and data sets.
+_PROGRAMS = "cpas_programs"
+
 
 class CpasSession(SuiteSession):
     """The hooks of a run, and the objects between which they pass on what there is.
@@ -60,6 +71,7 @@ class CpasSession(SuiteSession):
     def __init__(self, config: pytest.Config) -> None:
         """Resolve methods, data sets and predictions; :class:`pytest.UsageError` if that fails."""
         super().__init__(config, "test_samples.py", "cpas")
+        take_programs(getattr(config, "workerinput", {}).get(_PROGRAMS, {}))
         with usage_errors(
             registry.RegistryError,
             ContractError,
@@ -95,10 +107,7 @@ class CpasSession(SuiteSession):
         if options.timeout is not None:
             self._limit_time(options.timeout)
         self._with_contract: set[Run] = set()
-        self._failed_items = 0
-        self._selected: set[str] = set()
         self._documents: list[RunDocument] = []
-        self._listed: set[str] = set()
         self._report: Path | None = None
 
     def _limit_time(self, seconds: float) -> None:
@@ -123,6 +132,11 @@ class CpasSession(SuiteSession):
                     hint=f"{kept}. If the method may take longer, raise --cpas-timeout",
                     about={"run": index},
                 )
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_configure_node(self, node: Any) -> None:
+        """Spare a worker the search for the programs that the controller has found."""
+        node.workerinput[_PROGRAMS] = found_programs()
 
     @property
     def runs(self) -> list[Run]:
@@ -149,16 +163,11 @@ class CpasSession(SuiteSession):
             else:  # what pytest makes of no values for a parameter
                 items.remove(item)
 
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_xdist_node_collection_finished(self, ids: Sequence[str]) -> None:
-        """What a worker is to run."""
-        self._selected.update(ids)
-
-    def _exclude_categories(self, session: pytest.Session) -> None:
+    def _exclude_categories(self) -> None:
         """See which categories are left out as a whole, by --cpas-category or by a selection of
         items: those are not asked for. What a limit or a shard leaves out is."""
-        self._selected.update(item.nodeid for item in session.items)
-        left = {i for i in self._selected if i.startswith(f"{self.node}::test_sample[")}
+        all_selected = seen_items(self.config).selected
+        left = {i for i in all_selected if i.startswith(f"{self.node}::test_sample[")}
         deselected: dict[Run, set[str]] = {}
         for run in self.runs:
             there, selected = set[str](), set[str]()
@@ -168,7 +177,7 @@ class CpasSession(SuiteSession):
                 # as pytest writes what is not ASCII
                 name = name.encode("unicode_escape").decode("ascii")
                 nodeid = f"{self.node}::test_sample[{run.method}-{run.dataset}-{name}]"
-                if nodeid in self._selected:
+                if nodeid in all_selected:
                     selected |= categories
                     left.discard(nodeid)
             deselected[run] = there - selected if selected else set()
@@ -197,14 +206,6 @@ class CpasSession(SuiteSession):
         except ResultsError as error:
             end_run(error)
 
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """On the controller: collect, and count what failed."""
-        super().pytest_runtest_logreport(report)
-        if self.is_controller and report.failed:
-            self._failed_items += 1
-        if "::test_listing[" in report.nodeid:
-            self._listed.add(report.nodeid)
-
     # -- verdict ----------------------------------------------------------------------------
 
     @pytest.hookimpl(wrapper=True)
@@ -226,14 +227,16 @@ class CpasSession(SuiteSession):
     def _report_listing(self, session: pytest.Session, run: Run) -> None:
         """Report a damaged listing whose item was deselected: no selection makes it whole."""
         nodeid = f"{self.node}::test_listing[{run.method}-{run.dataset}]"
-        if nodeid not in self._listed and (problem := listing_problem(run)):
+        if nodeid not in seen_items(self.config).ended and (problem := listing_problem(run)):
             report_outcome(session, nodeid, "failed", problem)
 
     def _judge_runs(self, session: pytest.Session) -> None:
         for run in self.runs:
             self._report_listing(session, run)
-        self._exclude_categories(session)
-        failed_items = self._failed_items  # the verdicts of other runs are none
+        self._exclude_categories()
+        failed_items = len(
+            seen_items(self.config).failed([self.node])
+        )  # the verdicts of other runs are none
         for collected in self.collected.values():
             judged = self._judge(collected, failed_items)
             for verdict in judged.verdicts:
@@ -246,11 +249,6 @@ class CpasSession(SuiteSession):
         except OSError as error:
             message = f"{self.options.report}: the report cannot be written ({error})"
             report_outcome(session, "cpas::report", "failed", message)
-        self.failed_runs = [
-            f"{run['method']} on {run['dataset']}"
-            for run in self._documents
-            if run["outcome"] == "failed"
-        ]
         self.verdicts_told = True
 
     def _judge(self, collected: CollectedRun, failed_items: int) -> JudgedRun:

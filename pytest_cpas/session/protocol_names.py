@@ -92,7 +92,7 @@ def _declared(root: Path) -> Mapping[str, Mapping[str, Any]]:
         content = read_toml(path)
     except DataError as error:
         raise ProtocolError(str(error)) from error
-    declared: Any = content
+    declared: dict[str, Any] = content
     for key in ("tool", "pytest-cpas", "protocols"):
         declared = declared.get(key, {})
         if not isinstance(declared, dict):

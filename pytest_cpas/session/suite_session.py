@@ -17,15 +17,24 @@ from pytest_cpas.reading.text import encodable, everywhere, terminal_line, termi
 from pytest_cpas.session.options import Granularity
 from pytest_cpas.types import ItemOutcome, SampleRef
 
-#: Where an item keeps what it found and was known before.
-KNOWN = pytest.StashKey[str]()
+#: Where an item keeps the exception by which it ends, of its own accord, though it did not pass.
+_OWN_END = pytest.StashKey[BaseException]()
 
 
 def known_failure(item: pytest.Item, message: str) -> NoReturn:
     """End an item as one that fails as is known; ``--runxfail``, which is about the marks of tests,
     does not make it red."""
-    item.stash[KNOWN] = message
-    raise pytest.xfail.Exception(message)
+    __tracebackhide__ = True
+    item.stash[_OWN_END] = pytest.xfail.Exception(message)
+    raise item.stash[_OWN_END]
+
+
+def skip(item: pytest.Item, reason: str) -> NoReturn:
+    """End an item as one that has nothing to judge. Nobody else skips it: a method or a plugin that
+    does so makes it fail."""
+    __tracebackhide__ = True
+    item.stash[_OWN_END] = pytest.skip.Exception(reason)
+    raise item.stash[_OWN_END]
 
 
 class SuiteSession(ABC):
@@ -37,8 +46,6 @@ class SuiteSession(ABC):
 
     #: Whether all verdicts are told; where items are all there is, they are told with them.
     verdicts_told = True
-    #: What failed by those verdicts, whatever a plugin makes of the reports.
-    failed_runs: Sequence[str] = ()
 
     def __init__(self, config: pytest.Config, module: str, node: str) -> None:
         """Have ``suite/module`` collected under the node id ``node``.
@@ -78,15 +85,22 @@ class SuiteSession(ABC):
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
-        self, item: pytest.Item
+        self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Put what an item of this suite found on its report."""
+        """Put what an item of this suite found on its report, and whether it failed."""
         report = yield
-        if report.when == "call" and KNOWN in item.stash:
-            report.outcome = "skipped"
-            report.wasxfail = item.stash[KNOWN]
         if item.path != self._suite:
             return report
+        error, own = call.excinfo and call.excinfo.value, item.stash.get(_OWN_END, None)
+        failed = error is not None and error is not own
+        if isinstance(own, pytest.xfail.Exception) and error is own:
+            report.outcome = "skipped"
+            report.wasxfail = str(own)
+        elif failed and not report.failed:
+            report.outcome = "failed"
+            report.longrepr = f"{item.nodeid} was skipped, but not by pytest-cpas: {error}"
+            report.__dict__.pop("wasxfail", None)
+        report.cpas_failed = failed  # type: ignore[attr-defined]
         if report.when == "call":
             content = everywhere(encodable, self.item_content(item))
             report.cpas_content = (self.node, content)  # type: ignore[attr-defined]
@@ -202,6 +216,7 @@ def report_outcome(
         )
         if called and known:
             report.wasxfail = message
+        report.cpas_failed = called and outcome == "failed"  # type: ignore[attr-defined]
         hook.pytest_runtest_logreport(report=shown_report(report))
     hook.pytest_runtest_logfinish(nodeid=nodeid, location=location)
 

@@ -7,7 +7,7 @@ import pytest
 from pytest_cpas.checks.metrics import PROPERTIES, Property, Subject, check, replay
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.session.metrics_session import RESULT, MetricsSession
-from pytest_cpas.session.suite_session import known_failure
+from pytest_cpas.session.suite_session import known_failure, skip
 
 
 def _session(config: pytest.Config) -> MetricsSession:
@@ -40,7 +40,7 @@ def test_metric(subject: Subject, prop: Property, request: pytest.FixtureRequest
     as_recorded = known is not None and result.outcome is known.outcome
     request.node.stash[RESULT] = (result, as_recorded)
     if result.outcome is Outcome.NOT_OFFERED and known is None:
-        pytest.skip(f"{subject.name} does not offer it")
+        skip(request.node, f"{subject.name} does not offer it")
     if as_recorded:
         known_failure(request.node, f"known: {result.outcome.value}: {result.message}")
     if known is not None:

@@ -12,7 +12,7 @@ from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.evaluation import Run, SampleError
 from pytest_cpas.session.collected import ItemResult
 from pytest_cpas.session.method_session import ITEM_RESULT, cpas_session, listing_problem
-from pytest_cpas.session.suite_session import grouped, known_failure
+from pytest_cpas.session.suite_session import grouped, known_failure, skip
 from pytest_cpas.types import SampleRef
 
 
@@ -54,7 +54,7 @@ def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest
     stage = cpas_session(request.config).stages[run]
     result = stage.result(check)
     if result is None:
-        pytest.skip(f"no shard has checked {check.name}")
+        skip(request.node, f"no shard has checked {check.name}")
     request.node.stash[ITEM_RESULT] = ItemResult(contract=result)
     if result.known and result.violated:
         known_failure(request.node, f"known: {result.message}")
@@ -72,9 +72,12 @@ def test_contract(run: Run, check: ContractCheck, request: pytest.FixtureRequest
         ]
         pytest.fail("\n".join(lines), pytrace=False)
     if result.outcome is Outcome.NOT_OFFERED:
-        pytest.skip(f"{check.name}: {result.message}")
+        skip(request.node, f"{check.name}: {result.message}")
     if result.violated:
-        pytest.skip(f"information, not demanded of {run.method}: {check.name}: {result.message}")
+        skip(
+            request.node,
+            f"information, not demanded of {run.method}: {check.name}: {result.message}",
+        )
 
 
 def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest) -> None:
@@ -85,7 +88,7 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
     # the others were judged before the run was killed
     refs = [ref for ref in refs if ref.id not in session.collected[run].rows]
     if refs and (obstacle := session.obstacle(run)):
-        pytest.skip(f"the adapter is wrong: {obstacle}")
+        skip(request.node, f"the adapter is wrong: {obstacle}")
     for ref in refs:
         try:
             result.rows.append(run.judge(ref))

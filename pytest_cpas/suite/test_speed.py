@@ -8,6 +8,7 @@ import pytest
 
 from pytest_cpas.evaluation import MethodError
 from pytest_cpas.session.speed_session import MEASURED, speed_session
+from pytest_cpas.session.suite_session import skip
 from pytest_cpas.timing.records import RecordError
 from pytest_cpas.timing.running import SpeedRun
 from pytest_cpas.timing.workers import TimingError
@@ -35,7 +36,7 @@ def test_speed(speed_run: SpeedRun, benchmark: Any, request: pytest.FixtureReque
     """The method does not take much longer than it may."""
     session = speed_session(request.config)
     if obstacle := session.cpas.obstacle(speed_run.run):
-        pytest.skip(f"the adapter is wrong: {obstacle}")
+        skip(request.node, f"the adapter is wrong: {obstacle}")
     problem = ""
     try:
         verdict, measured = speed_run.measure(benchmark)
@@ -48,4 +49,4 @@ def test_speed(speed_run: SpeedRun, benchmark: Any, request: pytest.FixtureReque
     if session.outcome(verdict) == "failed":
         pytest.fail(str(verdict), pytrace=False)
     if session.outcome(verdict) == "skipped":
-        pytest.skip(str(verdict))
+        skip(request.node, str(verdict))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 from pytest_cpas._deprecation import deprecated
@@ -94,6 +95,21 @@ class WrappedDataset(Dataset):
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample."""
         return self._dataset.truth(ref)
+
+
+def remember_maker(dataset: Dataset, make: Callable[..., Any]) -> None:
+    """Remember the callable that has made a data set: its code counts, see :func:`readers_of`."""
+    vars(dataset)["_made_by"] = inspect.unwrap(make)
+
+
+def readers_of(dataset: Dataset) -> list[Callable[..., Any]]:
+    """All whose code decides what the samples are: what made the data set, its class, and the same
+    of those that it is made of."""
+    readers = [vars(dataset).get("_made_by", type(dataset)), type(dataset)]
+    if isinstance(dataset, WrappedDataset):
+        wrapped: Any = dataset.wrapped
+        readers += readers_of(wrapped) if isinstance(wrapped, Dataset) else [type(wrapped)]
+    return [*dict.fromkeys(readers)]
 
 
 #: What has no default.

@@ -6,7 +6,7 @@ import make_schema
 import pytest
 import tiny
 from report_schema import VALIDATOR, follow_schema
-from tables import Fixed, a_run, a_speed, rows, table
+from tables import CPAS, Fixed, a_run, a_speed, rows, table
 
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.golden import RunTable
@@ -44,7 +44,7 @@ def full_document() -> dict:
     paper = Fixed("spd", "real275", run.samples, identity={})
     runs = [told, run_document(paper, RunTable.of(paper, judged))]
     old = run_document(run, table(s_03=30.0))
-    return {**document(runs, 1), "against": against(runs[:1], [old])}
+    return {**document(runs, 1, CPAS), "against": against(runs[:1], [old])}
 
 
 FULL = full_document()
@@ -53,13 +53,23 @@ FULL = full_document()
 GONE = object()
 
 SPOILED = [
-    ("format", 2),
+    ("format", 1),
     ("format", GONE),
     ("outcome", "good"),
     ("outcome", None),
     ("failed_items", -1),
-    ("thresholds", ["a", "b", "c"]),
-    ("thresholds", ["a", "b", "c", "d", "e"]),
+    ("thresholds", None),
+    ("guards", GONE),
+    ("guards/0", None),
+    ("runs/0/guards", GONE),
+    ("runs/0/guards/0/measured/total", 0),
+    ("runs/0/scores/0/measured", "low"),
+    ("runs/0/scores/0/samples", -1),
+    ("runs/0/scores/0/better", "bigger"),
+    ("runs/0/lacking", "nothing"),
+    ("runs/0/definitions", GONE),
+    ("runs/0/samples/1/facts/nad", "0.1"),
+    ("against/pairs/0/guards", GONE),
     ("thresholds/0", 1),
     ("runs", GONE),
     ("runs", None),
@@ -97,7 +107,7 @@ SPOILED = [
     ("runs/0/flips/0/after", GONE),
     ("runs/0/samples/1/outcome", "12"),
     ("runs/0/samples/1/outcome", "11112"),
-    ("runs/0/samples/1/golden", "1"),
+    ("runs/0/samples/1/golden", 1),
     ("runs/0/samples/1/position_m", -1e-9),
     ("runs/0/samples/1/position_m", "0.1"),
     ("runs/0/samples/1/rotation_deg", 180.1),
@@ -160,6 +170,10 @@ def test_the_schema_refuses_a_spoiled_document(path, value):
         "runs/0/precision/0/measured",
         "runs/0/precision/0/golden",
         "runs/0/precision/0/published",
+        "runs/0/guards/0/golden",
+        "runs/0/scores/0/measured",
+        "runs/0/scores/0/golden",
+        "runs/0/samples/1/facts/nad",
         "runs/0/curves/fscore_1cm",
         "runs/0/samples/1/outcome",
         "runs/0/samples/1/position_m",

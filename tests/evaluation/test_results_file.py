@@ -170,8 +170,8 @@ def test_rows_of_another_program_are_set_aside(tmp_path, changed):
     before = write(tmp_path, rows()).read_bytes()
     run = a_run(**changed)
     file = ResultsFile(tmp_path, run, WHOLE)
-    assert (len(file.rows), file.rows_not_reused) == (0, 10)
-    assert next(iter(changed)) in "; ".join(file.not_reused)
+    assert (len(file.rows), file.set_aside.rows) == (0, 10)
+    assert next(iter(changed)) in str(file.set_aside)
     path = write(tmp_path, rows(s_03=9)[:4], run)
     assert len(read_results(path).rows) == 4
     assert (tmp_path / "m-d.1.old").read_bytes() == before
@@ -195,11 +195,12 @@ def test_another_revision_of_the_same_code_is_the_same_program(tmp_path):
     assert len(ResultsFile(tmp_path, a_run(revision="def+"), WHOLE).rows) == 4
 
 
-def test_unseen_sources_are_never_the_same(tmp_path):
-    write(tmp_path, rows()[:4], a_run(code="unknown"))
-    file = ResultsFile(tmp_path, a_run(code="unknown"), WHOLE)
+@pytest.mark.parametrize(("key", "whose"), [("code", "method's"), ("data_code", "data set's")])
+def test_unseen_sources_are_never_the_same(tmp_path, key, whose):
+    write(tmp_path, rows()[:4], a_run(**{key: "unknown"}))
+    file = ResultsFile(tmp_path, a_run(**{key: "unknown"}), WHOLE)
     assert not file.rows
-    assert "are in no file" in "; ".join(file.not_reused)
+    assert f"the {whose} sources are in no file" in str(file.set_aside)
 
 
 def test_shards_of_two_programs_are_not_merged(tmp_path):

@@ -58,7 +58,7 @@ def test_regression_is_told_in_the_words_of_the_verdict(own, recorded, how):
     result.stdout.fnmatch_lines(
         [
             "*REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
-            "*lost: scene_0/0001 (0 cm, 0 deg, IoU 1, F 1, * -> 0 cm, 7 deg, IoU *); scene_0/0003 *",
+            "*lost: scene_0/0001 (0 cm, 0 deg, IoU 1, F *-> 0 cm, 7 deg, IoU *); scene_0/0003 *",
         ]
     )
     assert recorded("Biased").ret == 1

@@ -342,6 +342,36 @@ def test_several_seeds_of_a_run_find_more():
     assert "; 5 seeds of this run: " in mug.details
 
 
+def test_what_moved_is_named_though_the_first_seeds_agree():
+    """A first seed that was unlucky already has the same count as the run."""
+    recorded = easy_and_hard(10)
+    recorded[[1, 3, 5, 7], 0] = False
+    run = easy_and_hard(10)[:, :2]
+    run[[1, 3, 5, 7]] = False
+    for seeds in (1, 2):
+        (mug,) = (
+            v for v in compare(tables(recorded), tables(run[:, :seeds])) if v.category == "mug"
+        )
+        assert mug.word in (Word.PROBABLY_WORSE, Word.REGRESSED)
+        assert f"worse, in seeds that are correct: s/00001 9 of 10 -> 0 of {seeds};" in mug.details
+
+
+def test_advice_is_what_would_help():
+    def advice(recorded, judged):
+        run = easy_and_hard(judged)
+        for loss in range(1, 20, 2):
+            run[:loss:1][1::2] = False
+            for verdict in compare(tables(easy_and_hard(recorded)), tables(run)):
+                if verdict.word is Word.PROBABLY_WORSE:
+                    return verdict.details
+        raise AssertionError("none is PROBABLY WORSE")
+
+    assert "judge it under more seeds than 1 (--cpas-jitter 5)" in advice(5, 1)
+    more = advice(2, 2)
+    assert "record more seeds than 2 of the program that was recorded (--cpas-jitter 4" in more
+    assert "judge it under" not in more
+
+
 def test_category_in_which_no_loss_would_show():
     """It is not called MATCHES, and does not make a table useless that shows others."""
     recorded = easy_and_hard(4)

@@ -127,6 +127,10 @@ MADE_UP = {
     "dtype of other digits": called(DTYPE, text("U\u0663"), FALSE, TRUE),
     "uninitialised": called(NDARRAY, tuple_of(number(1000)), F8),
     "uninitialised, by _reconstruct": called(RECONSTRUCT, NDARRAY, tuple_of(number(9)), text("d")),
+    "a code that is none": called(RECONSTRUCT, NDARRAY, tuple_of(number(0)), NONE),
+    "an array as a code": called(
+        RECONSTRUCT, NDARRAY, tuple_of(number(0)), array((2,), F8, binary(bytes(16)))
+    ),
     "never filled": unfilled(),
     "class that is none": called(RECONSTRUCT, DTYPE, tuple_of(number(0)), text("b")),
     "filled twice": array((1,), F8, EIGHT)[:-1] + BUILD + tuple_of(NONE) + BUILD,
@@ -421,6 +425,8 @@ BOMBS = {
     "opcodes without end": NONE + b"N0" * 3_000_001,
     "sets without end": MARK + b"\x8f" * 3_000_000 + b"l",
     "dicts without end": MARK + b"}" * 3_000_000 + b"l",
+    "tuples without end": MARK + b"N\x85" * 3_100_000 + b"l",
+    "pairs without end": MARK + b"N\x85" * 2_900_000 + b"l",
     "lists without end": MARK + b"]" * 6_000_001 + b"l",
     "a long integer": b"\x8b" + struct.pack("<I", 1 << 20) + b"\x7f" * (1 << 20),
     "a long integer, in decimals": b"L" + b"9" * 1_000_000 + b"L\n",

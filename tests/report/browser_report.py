@@ -6,7 +6,6 @@ It is driven through its own protocol over a pipe, so that no driver has to be i
 import base64
 import itertools
 import json
-import math
 import os
 import shutil
 import subprocess
@@ -14,8 +13,10 @@ from dataclasses import replace
 from urllib.parse import urlencode
 
 import pytest
+from tables import CPAS
 
-from pytest_cpas.evaluation import Row, Run
+from pytest_cpas.evaluation import Answer, Row, Run
+from pytest_cpas.facts import fact
 from pytest_cpas.golden import RunTable, find_golden, shipped_golden
 from pytest_cpas.golden.comparison import compare
 from pytest_cpas.report.against import against
@@ -115,13 +116,6 @@ class Stored(Run):
         raise NotImplementedError
 
 
-def a_row(sample, category, errors, failure):
-    names = ("translation_error", "rotation_error", "iou", "fscore_1cm")
-    return a_row(
-        sample=sample, category=category, failure=failure, **dict(zip(names, errors, strict=True))
-    )
-
-
 def stored_run(name, spoil, method="icp"):
     """The recorded run of icp on a data set, spoiled, against its golden table."""
     golden = find_golden(shipped_golden(), "icp", name)
@@ -129,10 +123,11 @@ def stored_run(name, spoil, method="icp"):
         SampleRef(id=sample, category=it.category, scene="s")
         for sample, it in golden.samples.items()
     ]
-    run = Stored(method, name, refs, identity=golden.identity)
+    run = Stored("icp", name, refs, identity=golden.identity)
+    run.method = method  # a stored report can have any
     run.seeds = golden.seeds
     judged = [
-        spoil(index, a_row(sample, it.category, it.errors, it.failure or None))
+        spoil(index, Row(sample=sample, category=it.category, answers=it.answers))
         for index, (sample, it) in enumerate(golden.samples.items())
     ]
     torn = [judged.pop(5).sample] if judged[0].failure else []
@@ -153,21 +148,29 @@ def stored_run(name, spoil, method="icp"):
 def spoiled(index, row):
     if index % 7 == 0:
         reason = "<img src=x onerror=\"document.title = 'hacked'\">"
-        lost = (math.inf, math.inf, -math.inf, -math.inf)
-        return a_row(row.sample, row.category, lost, reason)
-    worse = row.rotation_error * (2.5 if index % 5 == 0 else 1)
-    errors = (row.translation_error, worse, row.iou, row.fscore_1cm)
-    return a_row(row.sample, row.category, errors, row.failure)
+        lost = {name: fact(name).failed for name in row.facts}
+        return with_answer(row, Answer(facts=lost, failure=reason))
+    return turned(row, 2.5 if index % 5 == 0 else 1)
 
 
 def better(index, row):
-    turned = row.rotation_error * (0.3 if index % 4 == 0 else 1)
-    return replace(row, rotation_error=turned)
+    return turned(row, 0.3 if index % 4 == 0 else 1)
 
 
 def worse(index, row):
-    turned = min(180.0, row.rotation_error * (20 if index % 6 == 0 else 1))
-    return replace(row, rotation_error=turned)
+    return turned(row, 20 if index % 6 == 0 else 1)
+
+
+def turned(row, factor):
+    """With another rotation error."""
+    error = row.facts["rotation_deg"] * factor
+    facts = {**row.facts, "rotation_deg": min(180.0, error) if factor > 1 else error}
+    return with_answer(row, Answer(facts=facts, failure=row.failure))
+
+
+def with_answer(row, answer):
+    """With another answer under every seed."""
+    return replace(row, answers=(answer,) * len(row.answers))
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +182,7 @@ def content():
         stored_run("synthetic-tabletop", better, hostile),
         stored_run("synthetic-handheld", better, hostile),
     ]
-    made = document(runs, 1)
+    made = document(runs, 1, CPAS)
     old = [stored_run("synthetic-handheld", better), stored_run("synthetic-tabletop", worse)]
     made["against"] = against(runs, old)
     return made

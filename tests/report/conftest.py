@@ -21,6 +21,7 @@ def report(recorded, pytester):
             "report.html",
             "report.json",
             "report.md",
+            "scores.csv",
         ]
         return content, (folder / "report.md").read_text(), result
 

@@ -1,7 +1,7 @@
 """Documents of the made-up runs of tests/tables.py."""
 
 from report_schema import follow_schema
-from tables import a_run
+from tables import CPAS, a_run
 
 from pytest_cpas.evaluation import Row, Run
 from pytest_cpas.golden import RunTable
@@ -22,6 +22,6 @@ def a_run_document(run: Run, judged: list[Row], golden: RunTable | None = None, 
 
 
 def a_document(judged: list[Row], golden: RunTable | None = None, **more) -> dict:
-    content = document([a_run_document(a_run(), judged, golden, **more)], 0)
+    content = document([a_run_document(a_run(), judged, golden, **more)], 0, CPAS)
     follow_schema(content)
     return content

@@ -3,9 +3,8 @@
 import math
 
 from made_documents import a_document
-from tables import GOLDEN, a_run, a_speed, rows
+from tables import GOLDEN, a_row, a_run, a_speed, rows
 
-from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable
 from pytest_cpas.golden.published import published_name
 from pytest_cpas.report.markdown import markdown
@@ -15,11 +14,11 @@ def test_flips_are_grouped_by_kind():
     (run,) = a_document(rows(s_03=7.0, s_04=30.0), GOLDEN)["runs"]
     five, ten = ["5 deg, 1 cm", "5 deg, 1 cm, F 0.8"], ["10 deg, 2 cm", "10 deg, 2 cm, F 0.6"]
     assert [(flip["sample"], flip["lost"]) for flip in run["flips"]] == [
-        ("s/03", five),
-        ("s/04", ten + five),
+        ("s/03", [*five, "5 deg, 5 cm"]),
+        ("s/04", [*ten, *five, "10 deg, 5 cm", "5 deg, 5 cm"]),
     ]
-    assert run["flips"][0]["before"] == "0.5 cm, 4 deg, F 0.95"
-    assert run["flips"][0]["after"] == "0.5 cm, 7 deg, F 0.95"
+    assert run["flips"][0]["before"] == "0.5 cm, 4 deg, IoU 0.9, F 0.95, NAD 0.01"
+    assert run["flips"][0]["after"] == "0.5 cm, 7 deg, IoU 0.9, F 0.95, NAD 0.01"
 
 
 def test_golden_table_of_other_conditions_is_not_compared():
@@ -46,7 +45,13 @@ def test_no_answer_and_no_row():
     assert run["categories"]["can"] == {"judged": 4, "listed": 5}
     torn, failed = run["samples"][:2]
     assert (torn["outcome"], torn["error"], torn["failure"]) == (None, "torn", None)
-    assert (failed["outcome"], failed["error"], failed["failure"]) == ("0-0-", None, "no luck")
+    assert (failed["outcome"], failed["error"], failed["failure"]) == (
+        "0-0-" + "00000--",  # of what is read, and of what is guarded
+        None,
+        "no luck",
+    )
+    # what is n/a is told from what the sample failed at
+    assert failed["facts"] == {"fscore_1cm": None}
     assert failed["position_m"] is failed["iou"] is failed["fscore_1cm"] is None
 
 

@@ -11,7 +11,7 @@ from made_documents import a_document, a_run_document
 from pages import Page, listed_samples
 from PIL import Image
 from report_schema import follow_schema
-from tables import GOLDEN, REFS, Fixed, a_run, rows
+from tables import CPAS, GOLDEN, REFS, Fixed, a_row, a_run, rows
 
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
@@ -53,10 +53,8 @@ HOSTILE = "<script>alert(1)</script>|`*_[x](y)\n```\n# h"
 
 
 def test_markdown_of_hostile_text():
-    judged = first_row(sample=HOSTILE, translation_error=0.5, rotation_error=40.0)
-    golden = RunTable.of(
-        a_run(), first_row(sample=HOSTILE, translation_error=0.001, rotation_error=4.0)
-    )
+    judged = first_row(sample=HOSTILE, position_m=0.5, rotation_deg=40.0)
+    golden = RunTable.of(a_run(), first_row(sample=HOSTILE, position_m=0.001, rotation_deg=4.0))
     verdicts = [Verdict(Word.REGRESSED, "can", HOSTILE)]
     text = markdown(a_document(judged, golden, verdicts=verdicts))
     outside = re.sub(r"(?ms)^(`{3,})text\n.*?^\1$", "", text)
@@ -69,10 +67,8 @@ def test_markdown_of_hostile_text():
 def test_page_of_hostile_text():
     """Neither in the page nor in the data of its script does text become markup."""
     hostile = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\"'&amp;"
-    bad = first_row(sample=hostile, translation_error=0.5, rotation_error=40.0)
-    golden = RunTable.of(
-        a_run(), first_row(sample=hostile, translation_error=0.001, rotation_error=4.0)
-    )
+    bad = first_row(sample=hostile, position_m=0.5, rotation_deg=40.0)
+    golden = RunTable.of(a_run(), first_row(sample=hostile, position_m=0.001, rotation_deg=4.0))
     content = a_document(
         bad, golden, verdicts=[Verdict(Word.REGRESSED, "can", hostile)], errors={"s/00": hostile}
     )
@@ -108,7 +104,7 @@ def test_page_loads_nothing_and_admits_its_script_only():
 def test_published_curves_stand_beside_the_measured_ones():
     """Every point of the chart is where the published count says."""
     run = Fixed("spd", "real275", REFS, identity={})
-    content = document([a_run_document(run, rows(), verdicts=[])], 0)
+    content = document([a_run_document(run, rows(), verdicts=[])], 0, CPAS)
     follow_schema(content)
     ((_, runs, published),) = groups(content)
     lines = curve_lines(published, runs)

@@ -9,9 +9,10 @@ import pytest
 import tiny
 from made_documents import a_run_document
 from PIL import Image
+from tables import CPAS, FACTS
 
 from pytest_cpas.datasets.nocs import Real275
-from pytest_cpas.evaluation import MethodRun, Row
+from pytest_cpas.evaluation import Answer, MethodRun, Row
 from pytest_cpas.evaluation.estimates import encode_estimate, encode_shape
 from pytest_cpas.report.document import document
 from pytest_cpas.report.page import page
@@ -200,17 +201,12 @@ def test_page_of_two_hundred_pictures_is_below_ten_megabytes(monkeypatch):
         Hypothesis(rotation=np.eye(3), translation=[0.01, 0, 1.02], extents=[0.2, 0.15, 0.2])
     )
     monkeypatch.setattr(MethodRun, "read", lambda run, ref: sample)
+    facts = {**FACTS, "position_m": 0.5, "rotation_deg": 40.0, "iou": 0.1, "fscore_1cm": 0.2}
     judged = [
-        a_row(
+        Row(
             sample=f"s/{i:03d}",
             category="mug",
-            position_m=0.5,
-            rotation_deg=40.0,
-            iou=0.1,
-            fscore_1cm=0.2,
-            failure=None,
-            estimate=estimate,
-            repeats="",
+            answers=(Answer(facts=facts, estimate=estimate),),
             shape=encode_shape(points),
         )
         for i in range(30)
@@ -224,7 +220,7 @@ def test_page_of_two_hundred_pictures_is_below_ten_megabytes(monkeypatch):
     by_sample = {row.sample: row for row in judged}
     drawn = pictures(runs, dict.fromkeys(runs, by_sample), told)
     assert sum(map(len, drawn.values())) == 192  # as many of each, and 200 at most
-    text = page(document(told, 0), drawn)
+    text = page(document(told, 0, CPAS), drawn)
     assert text.count("data:image/webp") == 192
     assert len(text.encode()) < 10e6
 

@@ -2,7 +2,9 @@
 
 import copy
 import json
+import math
 import re
+import statistics
 
 import pytest
 from harness import RUN
@@ -20,10 +22,28 @@ LIMITS = {
     "5 deg, 1 cm, F 0.8": (5, 0.01, 0.8),
 }
 
+#: What is guarded besides: facts, and what they must be at most, or at least.
+GUARDS = {
+    "10 deg, 5 cm": {"rotation_deg": 10, "position_m": 0.05},
+    "5 deg, 5 cm": {"rotation_deg": 5, "position_m": 0.05},
+    "IoU 0.25": {"iou": 0.25},
+    "IoU 0.5": {"iou": 0.5},
+    "IoU 0.75": {"iou": 0.75},
+    "F 0.6": {"fscore_1cm": 0.6},
+    "F 0.8": {"fscore_1cm": 0.8},
+}
+
 
 def meets(row: Row, degrees: float, metres: float, fscore: float | None) -> bool:
-    pose = row.rotation_error <= degrees and row.translation_error <= metres
-    return pose and (fscore is None or row.fscore_1cm >= fscore)
+    pose = row.facts["rotation_deg"] <= degrees and row.facts["position_m"] <= metres
+    return pose and (fscore is None or row.facts["fscore_1cm"] >= fscore)
+
+
+def guarded(row: Row, limits: dict[str, float]) -> bool:
+    return all(
+        row.facts[name] >= limit if name in ("iou", "fscore_1cm") else row.facts[name] <= limit
+        for name, limit in limits.items()
+    )
 
 
 def problems(content: dict, judged: list[Row]) -> list[str]:
@@ -37,6 +57,19 @@ def problems(content: dict, judged: list[Row]) -> list[str]:
         correct = sum(meets(row, *LIMITS[cell["threshold"]]) for row in group)
         if cell["measured"] != {"correct": correct, "total": len(group)}:
             told.append(f"{cell['category']} {cell['threshold']}")
+    for cell in run["guards"]:
+        group = [row for row in judged if cell["category"] in ("all", row.category)]
+        correct = sum(guarded(row, GUARDS[cell["threshold"]]) for row in group)
+        if cell["measured"] != {"correct": correct, "total": len(group)}:
+            told.append(f"{cell['category']} {cell['threshold']}")
+    for cell in run["scores"]:
+        group = [row for row in judged if cell["category"] in ("all", row.category)]
+        median = statistics.median(row.facts["nad"] for row in group)
+        shown = None if math.isinf(median) else pytest.approx(median, rel=1e-5)
+        if (cell["score"], cell["measured"]) != ("median NAD", shown):
+            told.append(f"{cell['category']} {cell['score']}")
+    if len(run["guards"]) != 7 * (1 + len({row.category for row in judged})):
+        told.append("guards")
     if len(run["precision"]) != 4 * (1 + len({row.category for row in judged})):
         told.append("cells")
     for name, points in run["curves"].items():
@@ -44,9 +77,9 @@ def problems(content: dict, judged: list[Row]) -> list[str]:
             limit = point["threshold"]
             correct = sum(
                 {
-                    "position_m": row.translation_error <= limit,
-                    "rotation_deg": row.rotation_error <= limit,
-                    "fscore_1cm": row.fscore_1cm >= limit,
+                    "position_m": row.facts["position_m"] <= limit,
+                    "rotation_deg": row.facts["rotation_deg"] <= limit,
+                    "fscore_1cm": row.facts["fscore_1cm"] >= limit,
                 }[name]
                 for row in judged
             )
@@ -56,6 +89,10 @@ def problems(content: dict, judged: list[Row]) -> list[str]:
     for sample in run["samples"]:
         row = by_name.pop(sample["sample"])
         outcome = "".join(str(int(meets(row, *limits))) for limits in LIMITS.values())
+        outcome += "".join(str(int(guarded(row, limits))) for limits in GUARDS.values())
+        finite = {name: value for name, value in row.facts.items() if math.isfinite(value)}
+        if sample["facts"] != finite:  # to the last bit
+            told.append(f"{row.sample} facts")
         if sample["outcome"] != outcome:
             told.append(sample["sample"])
     return [*told, *by_name]
@@ -86,6 +123,14 @@ def test_planted_wrong_numbers_are_seen(report, pytester):
         spoiled = copy.deepcopy(content)
         spoiled["runs"][0]["precision"][index]["measured"]["correct"] -= 1
         assert problems(spoiled, judged) == [f"{cell['category']} {cell['threshold']}"]
+    spoiled = copy.deepcopy(content)
+    spoiled["runs"][0]["guards"][2]["measured"]["correct"] -= 1
+    spoiled["runs"][0]["scores"][0]["measured"] += 0.1
+    (guard, score) = (content["runs"][0][kind][i] for kind, i in (("guards", 2), ("scores", 0)))
+    assert problems(spoiled, judged) == [
+        f"{guard['category']} {guard['threshold']}",
+        f"{score['category']} {score['score']}",
+    ]
     for name, points in content["runs"][0]["curves"].items():
         for index, point in enumerate(points):
             spoiled = copy.deepcopy(content)

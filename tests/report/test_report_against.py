@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 from harness import RUN
 from report_schema import follow_schema
-from tables import REFS, Fixed, a_run, rows
+from tables import CPAS, REFS, Fixed, a_row, a_run, rows
 
 from pytest_cpas.cli import main
-from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
@@ -35,7 +34,7 @@ def a_run_document(judged=None, run=None, errors=None) -> dict:
 
 def compared(new: dict, old: dict) -> dict:
     """The only pair of a document that follows the schema."""
-    content = document([new], 0)
+    content = document([new], 0, CPAS)
     content["against"] = against(content["runs"], [old])
     follow_schema(content)
     (pair,) = content["against"]["pairs"]
@@ -84,8 +83,11 @@ def test_counts_and_p(lost, gained):
 def test_flip_has_the_errors_of_both():
     pair = compared(a_run_document(rows(s_03=30.0)), a_run_document(rows(s_03=7.0)))
     (flip,) = pair["flips"]
-    assert (flip["before"], flip["after"]) == ("0.5 cm, 7 deg, F 0.95", "0.5 cm, 30 deg, F 0.95")
-    assert flip["lost"] == [TEN, f"{TEN}, F 0.6"]
+    assert (flip["before"], flip["after"]) == (
+        "0.5 cm, 7 deg, IoU 0.9, F 0.95, NAD 0.01",
+        "0.5 cm, 30 deg, IoU 0.9, F 0.95, NAD 0.01",
+    )
+    assert flip["lost"] == [TEN, f"{TEN}, F 0.6", "10 deg, 5 cm"]
     lost = [
         a_row(
             sample="s/00",
@@ -115,8 +117,8 @@ def test_not_applicable_in_one_is_not_counted():
         a_row(
             sample=r.sample,
             category=r.category,
-            position_m=r.translation_error,
-            rotation_deg=r.rotation_error,
+            position_m=r.facts["position_m"],
+            rotation_deg=r.facts["rotation_deg"],
             iou=None,
             fscore_1cm=None,
         )
@@ -140,6 +142,12 @@ def named(method: str, dataset: str = "d", **identity: str) -> dict:
     return a_run_document(run=run)
 
 
+def redefined(method: str) -> dict:
+    """By another definition of the IoU."""
+    told = named(method)
+    return {**told, "definitions": {**told["definitions"], "iou": "other"}}
+
+
 def test_pairing():
     """The same method first; a method each that is left over is compared too."""
     new = [named("a"), named("b"), named("a", "e"), named("a", "f")]
@@ -160,7 +168,7 @@ def test_pairing():
         ([named("a")], [named("b"), named("c")], "the other one of b on d, c on d"),
         ([named("a")], [], "no method on no data set"),
         ([named("a")], [named("a", data="y")], "data was y, now x"),
-        ([named("a")], [named("b", iou="other")], "iou was other, now iou:oriented"),
+        ([named("a")], [redefined("b")], "iou was other, now iou:oriented"),
     ],
 )
 def test_what_does_not_fit_is_refused(new, old, words):
@@ -174,7 +182,7 @@ HOSTILE = "</script><img src=x onerror=alert(1)>|`\"'&amp;"
 def test_hostile_text_in_both():
     new = named(HOSTILE, HOSTILE, weights=HOSTILE)
     old = named(HOSTILE, HOSTILE)
-    content = document([new], 0)
+    content = document([new], 0, CPAS)
     content["against"] = against([new, named(HOSTILE, "e")], [old, named("x", HOSTILE + "2")])
     tags = []
     parser = HTMLParser()
@@ -241,17 +249,20 @@ def spoil(content: dict, path: Path) -> Path:
 
 
 def test_damaged_reports_are_refused(tmp_path):
-    good = document([a_run_document()], 0)
+    good = document([a_run_document()], 0, CPAS)
     path = spoil(good, tmp_path / "report.json")
     assert read_runs([path])[0]["judged"] == 10
     with pytest.raises(StoredReportError, match="m on d is in these files more than once"):
         read_runs([path, path])
     for change, words in (
         (lambda c: c.pop("format"), "not a report"),
-        (lambda c: c.update(format=99), "format 99, this version reads 1"),
+        (lambda c: c.update(format=99), "format 99, this version reads 2"),
         (lambda c: c["runs"][0].pop("samples"), "'samples' is a required property"),
-        (lambda c: c["thresholds"].reverse(), "other thresholds than this version"),
-        (lambda c: c["runs"][0]["precision"][0].update(threshold="x"), "other thresholds"),
+        (lambda c: c["thresholds"].reverse(), "m on d are not those that it says"),
+        (lambda c: c["guards"].reverse(), "m on d are not those that it says"),
+        (lambda c: c["runs"][0]["precision"][0].update(threshold="x"), "m on d are not those"),
+        (lambda c: c["runs"][0]["samples"][2].update(outcome="1111"), "m on d are not those"),
+        (lambda c: c["runs"][0]["samples"][2].update(golden="1111"), "m on d are not those"),
         (lambda c: c["runs"][0]["samples"][2].update(outcome="<b>"), r"\$.runs\[0\].samples\[2\]"),
     ):
         bad = copy.deepcopy(good)

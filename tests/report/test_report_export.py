@@ -8,7 +8,6 @@ import pytest
 from tables import Fixed
 from test_report_methods import judged_run, report
 
-from pytest_cpas.evaluation import THRESHOLDS
 from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.report.document import run_document
 from pytest_cpas.report.export import precision_csv, precision_tex
@@ -23,32 +22,43 @@ def published() -> list[dict]:
         return list(csv.DictReader(file))
 
 
+LIMITS = ("rotation_deg", "position_m", "fscore_1cm")
+
+
+def label_of(line: dict) -> str:
+    """The label of the column that a line of the published table is of."""
+    parts = [f"{line['rotation_deg']} deg", f"{100 * float(line['position_m']):g} cm"]
+    return ", ".join([*parts, *([f"F {line['fscore_1cm']}"] if line["fscore_1cm"] else [])])
+
+
 def test_csv_has_the_exact_counts():
     content = report(judged_run("mine", "redwood75", 60), judged_run("mine, too", "x\n2", 33))
     lines = read(precision_csv(content))
     paper = [
-        {k: v for k, v in line.items() if k not in ("source", "precision")}
+        {k: v for k, v in line.items() if k not in ("source", "protocol", "precision")}
         for line in lines
         if line["source"] == "paper"
     ]
+    expected = []
+    for line in published():
+        label = label_of(line)
+        rest = {k: v for k, v in line.items() if k not in LIMITS}
+        expected.append({**rest, "column": label})
 
     def key(line):
         return sorted(line.items())
 
-    assert sorted(paper, key=key) == sorted(published(), key=key)
+    assert sorted(paper, key=key) == sorted(expected, key=key)
     measured = [line for line in lines if line["source"] == "measured"]
-    assert len(measured) == 2 * 4 * 3  # runs, thresholds; mug, bowl and all
+    assert len(measured) == 2 * (4 + 7) * 3  # runs, columns; mug, bowl and all
     for run in content["runs"]:
-        for entry in run["precision"]:
-            limit = next(t for t in THRESHOLDS if t.label == entry["threshold"])
+        for entry in (*run["precision"], *run["guards"]):
             (line,) = (
                 line
                 for line in measured
                 if (line["dataset"], line["method"]) == (run["dataset"], run["method"])
-                and line["category"] == entry["category"]
-                and float(line["rotation_deg"]) == limit.rotation_deg
-                and float(line["position_m"]) == limit.position_m
-                and (float(line["fscore_1cm"]) if line["fscore_1cm"] else None) == limit.fscore
+                and (line["category"], line["protocol"]) == (entry["category"], "cpas")
+                and line["column"] == entry["threshold"]
             )
             counts = (entry["measured"]["correct"],) * 2 + (entry["measured"]["total"],)
             found = tuple(int(line[k]) for k in ("correct_low", "correct_high", "total"))
@@ -76,17 +86,15 @@ def tables(text: str) -> list[list[list[str]]]:
 
 def test_tex_has_the_papers_figures_and_marks():
     content = report(judged_run("mine", "real275", 60), judged_run("mine", "redwood75", 60))
-    overall, *categories = tables(precision_tex(content))
+    overall, *categories, _, _, _, _ = tables(precision_tex(content))  # guards and scores are last
     assert [line[0] for line in overall][:2] == ["mine", "asmnet (paper)"]
     assert len(overall) == 10
-    order = [(name, t) for name in ("real275", "redwood75") for t in THRESHOLDS]
+    order = [(name, label) for name in ("real275", "redwood75") for label in content["thresholds"]]
     for column, (dataset, limit) in enumerate(order, 1):
         expected = {
             f"{line['method']} (paper)": int(line["correct_low"]) / int(line["total"])
             for line in published()
-            if (line["dataset"], line["category"]) == (dataset, "all")
-            and float(line["rotation_deg"]) == limit.rotation_deg
-            and line["fscore_1cm"] == ("" if limit.fscore is None else f"{limit.fscore:g}")
+            if (line["dataset"], line["category"]) == (dataset, "all") and label_of(line) == limit
         }
         shown = {line[0]: line[column] for line in overall[1:]}
         if dataset == "redwood75":  # where mine has 100 samples: the paper's are not ranked
@@ -132,4 +140,5 @@ def test_a_method_alone_is_not_marked_and_what_is_not_given_is_na():
 def test_two_data_sets_stand_beside_each_other(count):
     content = report(*(judged_run("m", f"d{index}", 3) for index in range(count)))
     widths = [len(table[0]) - 1 for table in tables(precision_tex(content))]
-    assert widths == {1: [4], 2: [8], 3: [8, 4]}[count]
+    beside = [7, 1] * count  # of each: seven guards, one score
+    assert widths == {1: [4], 2: [8], 3: [8, 4]}[count] + beside

@@ -5,9 +5,8 @@ import re
 
 import pytest
 from report_schema import follow_schema
-from tables import Fixed, a_speed
+from tables import CPAS, Fixed, a_row, a_speed
 
-from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
 from pytest_cpas.report.curves import charts as curve_charts
 from pytest_cpas.report.curves import curve_lines
@@ -46,7 +45,7 @@ def judged_run(method: str, dataset: str, correct: int, time: float | None = Non
 
 
 def report(*runs: dict) -> dict:
-    content = document(runs, 0)
+    content = document(runs, 0, CPAS)
     follow_schema(content)
     return content
 

@@ -9,7 +9,7 @@ import pytest
 import tiny
 from report_schema import follow_schema
 from scipy.spatial.transform import Rotation
-from tables import a_run, rows, table
+from tables import CPAS, a_run, rows, table
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation import MethodRun
@@ -24,6 +24,10 @@ from pytest_cpas.types import ContractError, Hypothesis
 def judged(method=tiny.Perfect, data=None):
     run = MethodRun(method(), data or tiny.Tiny(None))
     return run, [run.judge(ref) for ref in run.samples]
+
+
+def with_estimate(row, estimate):
+    return replace(row, answers=(replace(row.answers[0], estimate=estimate),))
 
 
 def test_directions_are_those_of_truth_and_answer():
@@ -46,7 +50,7 @@ def test_directions_are_those_of_truth_and_answer():
 def test_what_is_not_known():
     run, found = judged()
     assert up_axes(a_run(), rows()) == {"truth": None, "estimate": None}
-    failed = [replace(row, estimate=None) for row in found]
+    failed = [with_estimate(row, None) for row in found]
     assert up_axes(run, failed)["estimate"] is None
     assert up_axes(run, failed)["truth"]["count"] == tiny.COUNT
     run.robustness_point = RobustnessPoint("tiny", "occlusion", 1)
@@ -87,8 +91,8 @@ def test_only_some_directions_of_a_large_run_are_kept():
     run, found = judged()
     rotations = Rotation.random(1000, rng=np.random.default_rng(0)).as_matrix()
     many = [
-        replace(
-            found[0], estimate=encode_estimate(Hypothesis(rotation=rotation, translation=[0, 0, 1]))
+        with_estimate(
+            found[0], encode_estimate(Hypothesis(rotation=rotation, translation=[0, 0, 1]))
         )
         for rotation in rotations
     ]
@@ -132,7 +136,7 @@ def test_page_shows_the_truth_once_and_every_estimate():
         | {"method": name, "up_axes": axes}
         for name in ("a", "</script><b>", "c")
     ]
-    content = document(told, 0)
+    content = document(told, 0, CPAS)
     follow_schema(content)
     text = page(content, {})
     escaped = "&lt;/script&gt;&lt;b&gt;"

@@ -336,6 +336,54 @@ def test_option_in_a_configuration_file_may_do_nothing(pytester, alone):
     pytester.runpytest_inprocess(*RUN, "test_x.py").assert_outcomes(passed=1)
 
 
+def test_value_without_its_equals_sign_is_told(cpas, pytester):
+    declared = DeclaredOptions()
+    plugin.add_options(declared)
+    typed = [tuple(name.split("=")) for name in sorted(declared.names) if "=" in name]
+    assert typed == [(o, v) for o, values in plugin.OPTIONAL_VALUES.items() for v in values]
+    for option, value in typed:
+        result = cpas("Perfect", option, value)
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        result.stderr.fnmatch_lines([f"ERROR: {option} {value}: * write {option}={value}"])
+        # which may be a path all the same
+        pytester.mkdir(value).joinpath("test_own.py").write_text("def test_own(): assert False")
+        result = cpas("Perfect", option, value, "-k", "test_own")
+        result.assert_outcomes(failed=2)  # and no golden table
+
+
+def test_id_that_occurs_twice_is_told(cpas, pytester):
+    pytester.makepyfile(
+        lab_twice="""
+        from tiny import *
+
+        class Twice(Tiny):
+            def __init__(self, data_dir):
+                super().__init__(data_dir)
+                self.samples = [*self.samples, *self.samples[:2]]
+        """
+    )
+    result = cpas("Perfect", "--cpas-dataset=lab_twice:Twice", dataset="Renewed")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(
+        ["*data set tiny: 2 sample ids occur more than once, first 'scene_0/0000', 2 times;*"]
+    )
+
+
+def test_one_seed_of_a_method_that_varies_is_told(cpas):
+    hint = "*declares deterministic=False, and the golden table is of one seed*(--cpas-jitter 10*"
+    recorded = cpas("DeclaredInexact", "--snapshot-update")
+    assert recorded.ret == 0
+    recorded.stdout.fnmatch_lines([hint])
+    worse = cpas("DeclaredBiased")
+    assert worse.ret == 1
+    worse.stdout.fnmatch_lines([hint])
+    assert "declares" not in cpas("Biased").stdout.str()
+    assert "declares" not in cpas("Perfect", "--snapshot-update").stdout.str()
+    several = cpas("DeclaredInexact", "--snapshot-update", "--cpas-jitter=2")
+    assert several.ret == 0
+    assert "declares" not in several.stdout.str()
+
+
 def test_every_option_is_decided_upon():
     declared = DeclaredOptions()
     plugin.add_options(declared)

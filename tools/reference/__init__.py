@@ -9,12 +9,11 @@ and :func:`expand` puts them there. Nothing here needs mkdocs.
 
 import re
 
-from reference import checks, code, files, metrics, options, registered, verdicts
+from reference import checks, code, files, metrics, options, protocols, registered, verdicts
 
 #: What can stand in a marker; further words of it are passed on as text.
 PARTS = {
     "api": code.api,
-    "columns": files.columns,
     "commands": options.commands,
     "contract": checks.contract,
     "dataset-checks": checks.dataset_checks,
@@ -24,7 +23,9 @@ PARTS = {
     "definitions": metrics.definitions,
     "docstring": code.module_docstring,
     "exit-codes": verdicts.exit_codes,
+    "facts": protocols.facts,
     "format": files.format_number,
+    "golden-file": protocols.golden_file,
     "golden-words": verdicts.golden_words,
     "head": files.head,
     "ini": options.ini,
@@ -35,6 +36,7 @@ PARTS = {
     "metric-properties": checks.properties,
     "offers": checks.offers,
     "options": options.options,
+    "protocols": protocols.protocols,
     "readme": files.readme,
     "schema": files.schema,
     "speed-words": verdicts.speed_words,

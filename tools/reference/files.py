@@ -33,11 +33,6 @@ def format_number(module: str) -> str:
     return f"Format {importlib.import_module(module).FORMAT}."
 
 
-def columns(module: str) -> str:
-    """The columns of its table."""
-    return f"Columns: {codes(importlib.import_module(module)._COLUMNS)}."
-
-
 def schema() -> str:
     """The fields of the report, object by object."""
     content = _schema()

@@ -23,7 +23,7 @@ class _Recorder:
     def addoption(self, *names: str, **attributes: object) -> None:
         self.group.add_argument(*names, **attributes)
 
-    def addini(self, name: str, help: str) -> None:  # noqa: A002 - pytest's name
+    def addini(self, name: str, help: str, **_: object) -> None:  # noqa: A002 - pytest's name
         self.inis[name] = help
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pytest_cpas.documents import ChangeDocument, Document
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.messages import change_messages, pair_lines, pair_title, worst_flips_first
-from pytest_cpas.report.page._parts import flip_table, sample_link, table
-from pytest_cpas.report.tables import category_lines, column_count
+from pytest_cpas.report.page._parts import flip_table, protocol_head, sample_link, table
+from pytest_cpas.report.tables import category_lines, column_count, labels, of_protocols
 
 #: Differences between two runs that are less probable than this by chance are coloured.
 _TELLING = 0.05
@@ -26,13 +26,9 @@ def comparison(document: Document) -> Iterator[Element]:
         yield element("p", first)
         if conditions:
             yield element("pre", "\n".join(conditions))
-        yield table(
-            ["before → now", *document["thresholds"]],
-            [
-                element("tr", element("td", category), [_change_cell(entry) for entry in entries])
-                for category, entries in category_lines(pair["precision"])
-            ],
-        )
+        yield from _tables(pair["precision"])
+        if pair["guards"]:
+            yield element("details", element("summary", "Guards"), list(_tables(pair["guards"])))
         yield element(
             "p",
             "In brackets the difference in percentage points. p: McNemar's exact test, two-sided,"
@@ -47,6 +43,18 @@ def comparison(document: Document) -> Iterator[Element]:
             yield from flip_table(worst_flips_first(pair["flips"]), column_count(pair))
     if against["unpaired"]:
         yield element("p", "Without a counterpart: ", ", ".join(against["unpaired"]))
+
+
+def _tables(entries: Sequence[ChangeDocument]) -> Iterator[Element]:
+    """A table for each protocol."""
+    for protocol, own in of_protocols(labels(entries)).items():
+        yield table(
+            protocol_head("before → now", protocol, own),
+            [
+                element("tr", element("td", category), [_change_cell(entry) for entry in changes])
+                for category, changes in category_lines(entries, own)
+            ],
+        )
 
 
 def _change_cell(change: ChangeDocument) -> Element:

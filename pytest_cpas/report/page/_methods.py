@@ -8,11 +8,18 @@ from pytest_cpas.documents import Document, PublishedTimeDocument
 from pytest_cpas.report._html import Element, element
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.messages import duration_message, method_title, run_title, speed_lines
-from pytest_cpas.report.page._parts import table
+from pytest_cpas.report.page._parts import protocol_head, table
 from pytest_cpas.report.scatter import PAIRS, dataset_pairs, methods
 from pytest_cpas.report.scatter import charts as scatter_charts
 from pytest_cpas.report.sphere import disc
-from pytest_cpas.report.tables import Cell, Line, category_tables, groups, precision_table
+from pytest_cpas.report.tables import (
+    Cell,
+    Line,
+    category_tables,
+    groups,
+    of_protocols,
+    precision_table,
+)
 
 
 def precision(document: Document) -> Iterator[Element]:
@@ -20,8 +27,9 @@ def precision(document: Document) -> Iterator[Element]:
     thresholds = document["thresholds"]
     for title, runs, published in groups(document):
         yield element("h2", f"Precision on {title}")
-        lines = precision_table(thresholds, runs, published)
-        yield _method_table(["correct at", *thresholds], lines)
+        for protocol, own in of_protocols(thresholds).items():
+            lines = precision_table(own, runs, published)
+            yield _method_table(protocol_head("correct at", protocol, own), lines)
         for threshold, categories, lines in category_tables(thresholds, runs, published):
             yield element(
                 "details",

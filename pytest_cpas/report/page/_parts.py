@@ -9,6 +9,7 @@ from pytest_cpas.documents import FlipDocument, ItemOutcome, RunName
 from pytest_cpas.reading.text import html
 from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.messages import flip_message, outcome_message, run_title
+from pytest_cpas.report.tables import protocol_title, split_label
 
 #: Flips that the page lists with their errors; the list of samples has all.
 _FLIPS = 50
@@ -52,6 +53,11 @@ def flip_table(flips: Sequence[FlipDocument], every: int) -> Iterator[Element]:
     )
     if len(flips) > _FLIPS:
         yield element("p", f"and {len(flips) - _FLIPS} more", class_="faint")
+
+
+def protocol_head(words: str, protocol: str, own: Sequence[str]) -> list[str]:
+    """The head of a table that has the columns of a protocol."""
+    return [protocol_title(words, protocol), *(split_label(label)[1] for label in own)]
 
 
 def sample_link(count: int, run: RunName, verdict: str) -> Child:

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Literal
 
-from pytest_cpas.documents import Document, RunDocument
+from pytest_cpas.documents import Document, PrecisionDocument, RunDocument
 from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.messages import contract_message, flip_message, run_title, troubles
-from pytest_cpas.report.page._parts import badge, flip_table, table
-from pytest_cpas.report.tables import Cell, category_lines, column_count, other_cells
+from pytest_cpas.report.page._parts import badge, flip_table, protocol_head, table
+from pytest_cpas.report.tables import (
+    Cell,
+    SideCell,
+    category_lines,
+    column_count,
+    labels,
+    of_protocols,
+    other_cells,
+    side_tables,
+)
 
 #: Runs of which the details are unfolded although nothing is wrong with them.
 _UNFOLDED = 2
@@ -26,7 +36,9 @@ def run_details(
         list(_troubles(run)),
         _gallery(run, pictures) if pictures else None,
         element("h3", "Per category"),
-        _category_table(run, document["thresholds"]),
+        list(_category_tables(run)),
+        [element("p", f"n/a: {line}", class_="faint") for line in run["lacking"]],
+        list(_beside(run)),
         element("p", contract_message(run["contract"]), class_="faint"),
         element("h3", "Conditions"),
         table(
@@ -96,9 +108,17 @@ def _gallery(run: RunDocument, pictures: Mapping[str, bytes]) -> Child:
     )
 
 
-def _category_table(run: RunDocument, thresholds: Sequence[str]) -> Element:
-    lines = []
-    for category, entries in category_lines(run["precision"]):
+def _category_tables(run: RunDocument) -> Iterator[Element]:
+    """A table for each protocol."""
+    for protocol, own in of_protocols(labels(run["precision"])).items():
+        lines = _category_rows(category_lines(run["precision"], own))
+        yield table(protocol_head("correct at", protocol, own), list(lines))
+
+
+def _category_rows(
+    categories: Iterable[tuple[str, Sequence[PrecisionDocument]]],
+) -> Iterator[Element]:
+    for category, entries in categories:
         cells = []
         for entry in entries:
             others = [
@@ -112,5 +132,30 @@ def _category_table(run: RunDocument, thresholds: Sequence[str]) -> Element:
             bar = element("span", element("span", style=width), class_="bar")
             text = f"{cell.correct}/{cell.total} {cell.percent}"
             cells.append(element("td", text, bar, others))
-        lines.append(element("tr", element("td", category), cells))
-    return table(["correct at", *thresholds], lines)
+        yield element("tr", element("td", category), cells)
+
+
+def _beside(run: RunDocument) -> Iterator[Element]:
+    """What is guarded, and the scores, folded."""
+    kinds: tuple[Literal["guards", "scores"], ...] = ("guards", "scores")
+    for kind in kinds:
+        tables = [
+            table(
+                [shown.title, *shown.columns],
+                [
+                    element("tr", element("td", category), [_side_cell(cell) for cell in cells])
+                    for category, cells in shown.lines.items()
+                ],
+            )
+            for shown in side_tables(run, kind)
+        ]
+        if tables:
+            yield element("details", element("summary", kind.capitalize()), tables)
+
+
+def _side_cell(cell: SideCell) -> Element:
+    """What got worse than its golden cell is coloured."""
+    golden = element("small", f"golden {cell.golden}") if cell.golden else None
+    return element(
+        "td", element("span", cell.measured, class_="unmet" if cell.worse else None), golden
+    )

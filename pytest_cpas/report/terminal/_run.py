@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 
 import pytest
@@ -22,6 +23,7 @@ from pytest_cpas.report.messages import (
     speed_lines,
     verdict_message,
 )
+from pytest_cpas.report.tables import protocol_title, split_label
 from pytest_cpas.report.terminal._table import FEW, Terminal
 
 #: Characters of a line that is read at a glance.
@@ -97,8 +99,11 @@ def _print_tables(terminal: Terminal, run: RunDocument) -> None:
         # of the columns that are read, what is n/a is told; of the others, only what there is
         shown = [cell for cell in cells if first == "correct" or cell[0] in known]
         for protocol, own in _by_protocol(shown).items():
-            for lines in _tables(f"{protocol} {first}".strip(), own):
+            for lines in _tables(protocol_title(first, protocol), own):
                 terminal.write_table(lines)
+    for line in run["lacking"]:
+        for part in textwrap.wrap(f"n/a: {line}", _WIDTH, subsequent_indent="  "):
+            terminal.write_line(part)
 
 
 #: A column's label, a category and what stands there.
@@ -106,10 +111,10 @@ _TableCell = tuple[str, str, str]
 
 
 def _by_protocol(cells: Sequence[_TableCell]) -> dict[str, list[_TableCell]]:
-    """The cells of each protocol, whose name is taken off the labels; "" is the paper's."""
+    """The cells of each protocol, whose name is taken off the labels."""
     groups: dict[str, list[_TableCell]] = {}
     for label, category, cell in cells:
-        protocol, _, own = label.rpartition(": ")
+        protocol, own = split_label(label)
         groups.setdefault(protocol, []).append((own, category, cell))
     return groups
 
