@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from harness import RUN
 
+from pytest_cpas.golden import read_golden
+
 TEST = """
 from tiny import {method}, Tiny
 from pytest_cpas.evaluation import MethodRun, Selection
@@ -56,7 +58,7 @@ def test_regression_is_told_in_the_words_of_the_verdict(own, recorded, how):
     result.stdout.fnmatch_lines(
         [
             "*REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
-            "*lost: scene_0/0001 (0 cm, 0 deg, F 1 -> 0 cm, 7 deg, F *); scene_0/0003 *",
+            "*lost: scene_0/0001 (0 cm, 0 deg, IoU 1, F *-> 0 cm, 7 deg, IoU *); scene_0/0003 *",
         ]
     )
     assert recorded("Biased").ret == 1
@@ -85,10 +87,10 @@ def test_part_of_the_samples_neither_matches_nor_is_recorded(own, recorded, pyte
 
 
 def test_damaged_table_is_told(own, recorded, pytester):
-    (pytester.path / "golden/recorded/perfect/tiny/samples.csv").write_text("hello")
+    (pytester.path / "golden/recorded/perfect/tiny/facts.csv").write_text("hello")
     result = own("Perfect")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["*GoldenError*samples.csv is not the file*"])
+    result.stdout.fnmatch_lines(["*GoldenError*facts.csv*"])
 
 
 def test_only_tables_are_compared(own, recorded, pytester):
@@ -114,11 +116,12 @@ def test_recorded_spread_is_allowed(cpas, pytester):
         ]
     )
     folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
-    lines = (folder / "samples.csv").read_text().splitlines()
-    outcomes = {line.split(",")[0]: line.split(",")[2:4] for line in lines[1:]}
-    assert outcomes["scene_0/0000"] == ["1111", ""]
-    assert any("0000" in repeats and "1111" in repeats for _, repeats in outcomes.values())
-    assert "seeds = 4" in (folder / "table.toml").read_text()
+    samples = read_golden(folder).samples.values()
+    assert all(len(sample.outcomes) == 4 for sample in samples)
+    assert {outcome for sample in samples for outcome in sample.outcomes} == {"0" * 11, "1" * 11}
+    assert not read_golden(folder).samples["scene_0/0000"].wavers
+    assert any(sample.wavers for sample in samples)
+    assert "seeds = 4" in (folder / "run.toml").read_text()
     # the same command is green on the same code, however much is required
     for required in ((), ("--cpas-require-golden",), ("--cpas-require-golden=strict",)):
         result = cpas("Wobbles", *required)

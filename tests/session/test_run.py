@@ -202,10 +202,10 @@ def test_one_category_is_recorded_without_touching_the_others(recorded, pytester
     assert recorded("Perfect", "--snapshot-update", "--cpas-category=mug").ret == 0
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert recorded("Biased", "--snapshot-update", "--cpas-category=mug").ret == 0
-    after = (folder / "samples.csv").read_text().splitlines()
-    changed = set(after) - set(before["samples.csv"].decode().splitlines())
+    after = (folder / "facts.csv").read_text().splitlines()
+    changed = set(after) - set(before["facts.csv"].decode().splitlines())
     assert len(changed) == 6
-    assert all(",mug," in line for line in changed)
+    assert all(line.startswith("mug,") for line in changed)
     assert recorded("Biased", "--cpas-require-golden").ret == 0
     # cells that are kept must have been made under the same conditions
     result = recorded("Perfect", "--snapshot-update", "--cpas-category=mug", "--cpas-seed=2")
@@ -298,6 +298,7 @@ FREE = {
     "--cpas-weights",
     "--cpas-golden",
     "--cpas-require-golden=strict",
+    "--cpas-protocol",
     "--cpas-alarm",
     "--cpas-device",
     "--cpas-seed",
@@ -416,11 +417,11 @@ def test_missing_weights_are_a_usage_error(pytester):
 
 def test_golden_table_that_was_edited_is_refused(recorded, pytester):
     folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
-    table = folder / "table.toml"
-    table.write_text(table.read_text().replace('"all | 10 deg, 2 cm" = "12/12"', '"x" = "1/2"'))
+    table = folder / "cpas.toml"
+    table.write_text(table.read_text().replace('10deg_2cm = "6/6"', '10deg_2cm = "5/6"'))
     result = recorded("Perfect")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["golden: DAMAGED: *are not the sums of samples.csv*"])
+    result.stdout.fnmatch_lines(["golden: DAMAGED: *cpas.toml is not what follows from facts.csv*"])
 
 
 def test_golden_folder_can_be_named(recorded, pytester):

@@ -259,7 +259,7 @@ def test_the_samples_are_judged_as_well_and_come_first(clocked, pytester):
     result = clocked("Clocked", "-k", "", "-v", "--snapshot-update")
     assert result.ret == 0
     assert (pytester.path / RECORD).exists()
-    assert (pytester.path / "golden" / "recorded" / "perfect" / "tiny" / "table.toml").exists()
+    assert (pytester.path / "golden" / "recorded" / "perfect" / "tiny" / "run.toml").exists()
     lines = [line for line in result.outlines if "cpas" in line and "PASSED" in line]
     assert "test_speed" in lines[-2]
     assert "golden[" in lines[-1]

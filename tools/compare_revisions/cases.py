@@ -91,7 +91,7 @@ CASES: dict[str, tuple[str, ...]] = {
         f"{MINE} --cpas-golden golden --cpas-granularity scene --cpas-jitter 2"
         f" --cpas-require-golden {REPORT}",
         f"{MINE} --cpas-golden golden --cpas-granularity dataset --cpas-seed 1",
-        "sed -i 's/,mug,/,bowl,/' golden/recorded/my-method/synthetic-handheld/samples.csv",
+        "sed -i 's/^mug,/bowl,/' golden/recorded/my-method/synthetic-handheld/facts.csv",
         f"{MINE} --cpas-golden golden --cpas-granularity dataset",
     ),
     "metrics": (
