@@ -281,7 +281,8 @@ def test_files_are_plain_json_behind_their_checksum(recorded, pytester):
     header, *found = [json.loads(line[17:]) for line in path.read_text().splitlines()]
     rows = [value for value in found if "row" in value]
     assert header["header"]["listed"] == {"bowl": 6, "mug": 6}
-    assert {row["row"]["failure"] for row in rows} == {None, "too few points"}
+    answers = [answer for row in rows for answer in row["row"]["answers"]]
+    assert {answer["failure"] for answer in answers} == {None, "too few points"}
     assert {v["contract"]["check"] for v in found if "contract" in v} == CONTRACT.keys()
     assert len(found) == len(rows) + len(CONTRACT) == 12 + len(CONTRACT)
     assert [run.method for run in merge([path])] == ["perfect"]
