@@ -370,13 +370,13 @@ def test_shape_model_that_is_none(tmp_path, changes, words):
 @pytest.mark.parametrize("content", [b"", b"<!DOCTYPE html>", b"PK\x03\x04torn"])
 def test_shape_model_that_is_no_file_of_arrays(tmp_path, content):
     (tmp_path / "info.npz").write_bytes(content)
-    with pytest.raises(AssetError, match="not a readable .npz"):
+    with pytest.raises(AssetError, match=r"not a readable \.npz"):
         read_shape_model(tmp_path / "info.npz")
     np.savez_compressed(tmp_path / "info.npz", **arrays())
     whole = (tmp_path / "info.npz").read_bytes()
     for cut in (len(whole) // 3, len(whole) - 30):
         (tmp_path / "info.npz").write_bytes(whole[:cut])
-        with pytest.raises(AssetError, match="not a readable .npz"):
+        with pytest.raises(AssetError, match=r"not a readable \.npz"):
             read_shape_model(tmp_path / "info.npz")
 
 
