@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import re
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
@@ -82,7 +83,7 @@ def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
 
     Raises :class:`DataError` naming the file that is damaged, or that is neither form.
     """
-    if path.is_dir():
+    if os.path.isdir(path):  # which takes names that are too long
         files = sorted(path.glob("*.pkl"))
         if not files:
             raise DataError(f"{path}: no .pkl files in this folder")
