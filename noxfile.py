@@ -1,6 +1,7 @@
 """Every task of the project, each in an environment of its own: ``nox -s demo``, ``nox -l``."""
 
 import os
+import sys
 from pathlib import Path
 
 import nox
@@ -175,3 +176,15 @@ def stress_timing(session: nox.Session) -> None:
     """Find a planted slow-down of 30 %, and none where there is none, on a busy machine."""
     install(session, "-e", ".")
     session.run("python", "tests/timing/stress_timing.py", *session.posargs, env=ENV)
+
+
+@nox.session
+def fuzz(session: nox.Session) -> None:
+    """Damage every format that is read, 20000 times by seeded mutations, then a minute for each
+    reader guided by coverage; ``-- COUNT [SEED]`` for others of the first kind alone."""
+    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
+    session.run("python", "tests/reading/fuzzing.py", *(session.posargs or ["20000"]), env=ENV)
+    session.run("pytest", "tests/reading/test_pickle_fuzz.py", env=ENV | {"CPAS_FUZZ": "20000"})
+    if not session.posargs and session.python is None and sys.version_info < (3, 14):
+        session.install("atheris>=3")  # wheels for Linux and Python 3.11 to 3.13
+        session.run("python", "tests/reading/fuzzing.py", "--atheris", "60", env=ENV)

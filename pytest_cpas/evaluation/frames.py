@@ -5,6 +5,7 @@ Arrays have the field's keys; boxes are y1, x1, y2, x2 in pixels, poses 4 x 4.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
@@ -61,7 +62,7 @@ def read_frames(path: Path) -> Iterator[tuple[str, Frame]]:
 
     Raises :class:`DataError` naming the file that is damaged, or that is neither form.
     """
-    if path.is_dir():
+    if os.path.isdir(path):  # which takes names that are too long
         files = sorted(path.glob("*.pkl"))
         if not files:
             raise DataError(f"{path}: no .pkl files in this folder")

@@ -72,6 +72,10 @@ def unpack(archive: Path, folder: Path) -> int:
         raise ArchiveError(f"{archive}: {error}") from None
     except DataError as error:
         raise ArchiveError(str(error)) from None
+    except OSError as error:
+        if error.errno is not None:  # of the disk
+            raise
+        raise ArchiveError(f"{archive}: not a readable archive ({error})") from error
     except _DAMAGE as error:
         raise ArchiveError(
             f"{archive}: not a readable archive ({error}); is it truncated, or a web page?"
@@ -161,6 +165,8 @@ def _zip_members(archive: zipfile.ZipFile) -> Iterator[_File]:
     if archive.filename and packed > os.path.getsize(archive.filename):
         raise ArchiveError("its members overlap; a bomb?")
     for info in archive.infolist():
+        if info.header_offset < 0:
+            raise ArchiveError(f"{info.filename[:80]!r} begins before the archive does")
         kind = stat.S_IFMT(info.external_attr >> 16)
         if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
             raise ArchiveError(f"{info.filename!r} is a link or a device, expected files only")

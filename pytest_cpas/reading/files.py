@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import stat
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, BinaryIO
+from typing import IO, BinaryIO, cast
 
 from pytest_cpas.types import ContractError, DataError
 
@@ -61,12 +62,21 @@ def opened(path: Path, limit: int = LARGEST) -> Generator[BinaryIO]:
         raise NoFileError(f"{path}: no such file") from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({_reason(error)})") from error
-    with os.fdopen(descriptor, "rb") as file:
+    with _Bounded(io.FileIO(descriptor, "rb")) as file:
         status = os.fstat(descriptor)
         _check_kind(path, status.st_mode)
         if status.st_size > limit:
             raise DataError(f"{path}: {status.st_size} bytes, at most {limit} are read")
-        yield file
+        yield cast(BinaryIO, file)
+
+
+class _Bounded(io.BufferedReader):
+    """Reading sets aside as much memory as it is asked for, and damaged files make their readers
+    ask for any: here, no more than is left of the file, and a little if it grows."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = max(os.fstat(self.fileno()).st_size - self.tell(), 0) + 2**16
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 _BINARY = getattr(os, "O_BINARY", 0)
@@ -80,11 +90,9 @@ def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
 def _chunks(path: Path, limit: int) -> Iterator[bytes]:
     size = 0
     with opened(path, limit) as file:
-        # reading sets aside as much memory as it is asked for
-        step = min(os.fstat(file.fileno()).st_size + 1, 2**24)
         while True:
             try:
-                chunk = file.read(step)
+                chunk = file.read(2**24)
             except OSError as error:
                 raise DataError(f"{path}: cannot be read ({_reason(error)})") from error
             if not chunk:

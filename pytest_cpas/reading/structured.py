@@ -25,6 +25,9 @@ LARGEST_TOML = 2**24
 LARGEST_YAML = 2**20
 
 _STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
+#: Lists within lists, in one line of YAML.
+_MANY_DASHES = re.compile(r"(?<!\S)(?:-[ \t]++){64}")
+
 _NOT_BRACKETS = bytes(sorted(set(range(256)) - set(b"[]{}")))
 
 #: Keys one below the other in one name: the parser's time grows with the square of their number.
@@ -91,6 +94,9 @@ def read_yaml(path: Path) -> Any:
     import yaml
 
     text = decoded(path, read_bytes(path, LARGEST_YAML))
+    # the parser takes a second to find out itself; brackets in texts are counted as well
+    if _bracket_depth(text.encode()) > DEEPEST or _MANY_DASHES.search(text):
+        raise DataError(f"{path}: nested more than {DEEPEST} levels deep")
     try:
         content = yaml.safe_load(text)
     except RecursionError:
@@ -112,7 +118,11 @@ def _depth(content: bytes) -> int:
     brackets = content.translate(None, _NOT_BRACKETS)
     if len(brackets) <= DEEPEST:
         return len(brackets)
-    brackets = _STRING.sub(b"", content).translate(None, _NOT_BRACKETS)
+    return _bracket_depth(_STRING.sub(b"", content))
+
+
+def _bracket_depth(content: bytes) -> int:
+    brackets = content.translate(None, _NOT_BRACKETS)
     codes = np.frombuffer(brackets, np.uint8)
     steps = np.where((codes == ord("[")) | (codes == ord("{")), 1, -1)
     return int(np.cumsum(steps).max(initial=0))

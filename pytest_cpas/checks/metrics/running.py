@@ -11,6 +11,7 @@ import warnings
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import hypothesis
@@ -22,6 +23,7 @@ from pytest_cpas.checks.metrics.adapter import Offer
 from pytest_cpas.checks.metrics.properties import Property
 from pytest_cpas.checks.metrics.subject import Subject, time_limit
 from pytest_cpas.checks.outcome import Finding, Outcome
+from pytest_cpas.reading.structured import parse_json
 from pytest_cpas.registry import resolve
 from pytest_cpas.types import DeclarationError
 
@@ -162,7 +164,7 @@ def replay(subject: Subject, prop: Property, case: str, *, limit: float = 60.0) 
         warnings.simplefilter("ignore")
         np.random.seed(0)  # noqa: NPY002 - as hypothesis does for each example
         try:
-            _try(subject, prop, json.loads(case))
+            _try(subject, prop, parse_json(Path("the recorded case"), case.encode()))
         except Finding as finding:
             outcome, message = finding.outcome, str(finding)
             snippet = subject.snippet(message)

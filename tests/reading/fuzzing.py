@@ -1,0 +1,683 @@
+"""Every reader against damaged files: seeded mutations of sound ones, in processes of their own.
+
+    python tests/reading/fuzzing.py 20000 [SEED]        # so many over all readers
+    python tests/reading/fuzzing.py --atheris 60        # seconds for each, guided by coverage
+
+Nothing but the reader's own error may come out, within a second and a gibibyte. A case that breaks
+this is printed with what makes it again: the name of the reader and the number of the case.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import hashlib
+import io
+import json
+import random
+import re
+import resource
+import struct
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+import traceback
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from pytest_cpas.types import Camera, ContractError
+
+SECONDS = 1.0
+MEMORY = 2**30
+
+Mutate = Callable[[bytes, random.Random], bytes]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """``run`` reads a file; ``seeds`` are sound contents; ``errors`` its own kinds of error."""
+
+    run: Callable[[Path], object]
+    seeds: Callable[[], Sequence[bytes]]
+    suffix: str = ".bin"
+    errors: tuple[type[Exception], ...] = (ContractError,)
+    mutations: Sequence[Mutate] = field(default=())
+    #: Public functions of `reading` that a run goes through, as ``module.function``.
+    covers: Sequence[str] = ()
+
+
+# -- mutations ----------------------------------------------------------------------------------
+
+EDGES = (
+    b"\xff" * 4,
+    bytes(4),
+    b"\x7f\xff\xff\xff",
+    b"\xff\xff\xff\x7f",
+    b"\x80\0\0\0",
+    b"\1\0\0\0",
+)
+
+
+def damaged(content: bytes, dice: random.Random) -> bytes:
+    """One to four kinds of damage that know nothing of the format."""
+    data = bytearray(content)
+    for _ in range(dice.randint(1, 4)):
+        if not data:
+            data += bytes(dice.randrange(256) for _ in range(4))
+        at, length = dice.randrange(len(data)), dice.choice((1, 2, 4, 9, 60, 500))
+        kind = dice.randrange(8)
+        if kind == 0:
+            data[at] ^= 1 << dice.randrange(8)
+        elif kind == 1:
+            data[at] = dice.randrange(256)
+        elif kind == 2:
+            del data[at : at + length]
+        elif kind == 3:
+            data[at:at] = data[at : at + length] * dice.choice((1, 3, 50))
+        elif kind == 4:
+            other = dice.randrange(len(data))
+            data[at : at + length] = data[other : other + length]
+        elif kind == 5:
+            data[at : at + 4] = dice.choice(EDGES)
+        elif kind == 6:
+            del data[at:]
+        else:
+            data[at:at] = bytes(dice.randrange(256) for _ in range(length))
+    return bytes(data)
+
+
+WORDS = (
+    b"NaN", b"nan", b"Infinity", b"-inf", b"1e999", b"-1", b"0", b"1" * 5000, b"1e308", b"1.5",
+    b"null", b"true", b'""', b"[]", b"{}", b'"x"', b"[" * 2000, b'{"a":' * 2000, b"9" * 20, b"-0",
+    b"1_000", b"0x10", b"\xff", b"\0", b'"' + b"x" * 300 + b'"', b"a." * 300 + b"a=1", b"\\",
+    b"'",
+    b"- " * 500, b"&a [*a, *a]", b"1e-400", b"1/0", b"\xe2\x80\xae", b"\r", b"\n" * 50,
+    b", " * 2000,
+)  # fmt: skip
+
+TOKEN = re.compile(rb"-?\d[\d.eE+-]*|\"[^\"\n]*\"|true|false|null|[\w]+")
+
+
+def tokens(content: bytes, dice: random.Random) -> bytes:
+    """A token of a text, or a few, become something else of the kind that texts hold."""
+    for _ in range(dice.randint(1, 3)):
+        found = list(TOKEN.finditer(content))
+        if not found:
+            return content + dice.choice(WORDS)
+        match = dice.choice(found)
+        content = content[: match.start()] + dice.choice(WORDS) + content[match.end() :]
+    return content
+
+
+def lines(content: bytes, dice: random.Random) -> bytes:
+    """Lines are left out, exchanged, or there twice."""
+    parts = content.split(b"\n")
+    for _ in range(dice.randint(1, 3)):
+        at, other = dice.randrange(len(parts)), dice.randrange(len(parts))
+        dice.choice((parts.insert, parts.__setitem__))(at, parts[other])
+    return b"\n".join(parts)
+
+
+def zip_fields(content: bytes, dice: random.Random) -> bytes:
+    """A field of a header of an archive: method, flags, size, length of a name, offset."""
+    data = bytearray(content)
+    heads = [m.start() for m in re.finditer(rb"PK(?:\x01\x02|\x03\x04|\x05\x06)", content)]
+    for _ in range(dice.randint(1, 2) if heads else 0):
+        at = dice.choice(heads) + dice.randrange(4, 44, 2)
+        width = dice.choice((2, 4))
+        data[at : at + width] = dice.choice((*EDGES, b"\x0c\0\0\0", b"\x09\0\0\0"))[:width]
+    return bytes(data)
+
+
+def rezipped(content: bytes, dice: random.Random) -> bytes:
+    """The arrays of an ``.npz`` damaged, under right checksums, or called otherwise."""
+    target = io.BytesIO()
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as source, zipfile.ZipFile(target, "w") as made:
+            for info in source.infolist():
+                array = source.read(info)
+                if dice.random() < 0.3:
+                    array = dice.choice((damaged, npy_header))(array, dice)
+                name = dice.choice((info.filename,) * 20 + ("x/" + info.filename, "a" * 300))
+                method = dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA))
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # of a name that is there twice
+                    made.writestr(name, array, method)
+    except Exception:
+        return content
+    return target.getvalue()
+
+
+HEADERS = (
+    "<f8", "<f2", "<f4", "<f16", ">f8", "<i8", "|i1", "<u8", "|b1", "|O", "<U3", "|S5", "<c16",
+    "<M8[s]", "<U0", "<V8", "=f8", "<f3", "<U999999999",
+)  # fmt: skip
+SHAPES = (
+    "()", "(0,)", "(3,)", "(2, 3)", "(-1,)", "(9999999999,)", "(1e3,)", "(3L,)", "(True,)",
+    "(0, 9999999999999)", "((3,),)", "(" * 500, "(__import__('os').system('exit 3'),)",
+)  # fmt: skip
+
+
+def npy_header(content: bytes, dice: random.Random) -> bytes:
+    """Another header before the values of a ``.npy``."""
+    header = (
+        f"{{'descr': {dice.choice(HEADERS)!r}, 'fortran_order': {dice.choice((True, False))},"
+        f" 'shape': {dice.choice(SHAPES)}, }}\n"
+    )
+    body = content[128:] * dice.choice((0, 1, 1, 1, 5))
+    return b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header.encode() + body
+
+
+def png_chunks(content: bytes, dice: random.Random) -> bytes:
+    """A chunk damaged under its right checksum, or one of another length."""
+    chunks, at = [], 8
+    while at + 8 <= len(content):
+        (length,) = struct.unpack(">I", content[at : at + 4])
+        chunks.append((content[at + 4 : at + 8], content[at + 8 : at + 8 + length]))
+        at += 12 + length
+    made = content[:8]
+    chosen = dice.randrange(len(chunks)) if chunks else -1
+    for index, (kind, body) in enumerate(chunks):
+        length = len(body)
+        if index == chosen:
+            body = damaged(body, dice) if body else bytes(9)
+            length = dice.choice((len(body), len(body), 0xFFFFFFFF, 2**31 - 1, 0))
+            kind = dice.choice((kind, kind, b"zTXt", b"iCCP", b"tRNS", b"PLTE", b"acTL"))
+        checksum = struct.pack(">I", zlib.crc32(kind + body))
+        made += struct.pack(">I", length) + kind + body + checksum
+    return made
+
+
+def checksummed(content: bytes, dice: random.Random) -> bytes:
+    """The lines of a results file damaged, under right checksums."""
+    from pytest_cpas.evaluation.results import checksum_of
+
+    made, last = b"", b""
+    for line in content.split(b"\n")[:-1]:
+        text = line.partition(b" ")[2]
+        if dice.random() < 0.3:
+            text = dice.choice((tokens, damaged))(text, dice).replace(b"\n", b"")
+        last = checksum_of(last, text)
+        made += last + b" " + text + b"\n"
+    return made
+
+
+def matching(content: bytes, dice: random.Random) -> bytes:
+    """A golden table whose ``table.toml`` names the digest of its damaged ``samples.csv``."""
+    toml, _, samples = content.partition(SEPARATOR)
+    samples = dice.choice((tokens, lines, damaged))(samples, dice)
+    digest = hashlib.sha256(samples).hexdigest().encode()
+    toml = re.sub(rb'(samples_sha256 = )"\w*"', rb'\1"' + digest + b'"', toml)
+    return toml + SEPARATOR + samples
+
+
+SEPARATOR = b"\n# ---- samples.csv\n"
+
+# -- readers ------------------------------------------------------------------------------------
+
+TEXT = (tokens, tokens, lines)
+ARCHIVE = (zip_fields, rezipped, rezipped)
+
+
+def saved(save: Callable[[Any], object]) -> bytes:
+    made = io.BytesIO()
+    save(made)
+    return made.getvalue()
+
+
+def images(mode: str) -> Callable[[], list[bytes]]:
+    def seeds() -> list[bytes]:
+        shape = (24, 32, 3) if mode == "RGB" else (24, 32)
+        kind = np.uint16 if mode == "I;16" else np.uint8
+        picture = Image.fromarray(np.arange(np.prod(shape)).reshape(shape).astype(kind))
+        return [saved(lambda file, form=form: picture.save(file, form)) for form in FORMS[mode]]
+
+    return seeds
+
+
+FORMS = {"RGB": ("PNG", "JPEG"), "I;16": ("PNG",), "L": ("PNG",)}
+CAMERA = Camera(32, 24, 30, 30, 16, 12)
+
+
+def meshes(kind: str) -> Callable[[], list[bytes]]:
+    def seeds() -> list[bytes]:
+        import trimesh
+
+        box = trimesh.creation.box()
+        found = [box.export(file_type=kind)]
+        if kind == "ply":
+            found.append(box.export(file_type=kind, encoding="ascii"))
+        return [each.encode() if isinstance(each, str) else each for each in found]
+
+    return seeds
+
+
+def archives() -> list[bytes]:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a/b.txt", "hello" * 100)
+        archive.writestr("c.bin", bytes(300))
+    found = [packed.getvalue()]
+    for mode in ("w", "w:gz", "w:xz", "w:bz2"):
+        tar = io.BytesIO()
+        with tarfile.open(fileobj=tar, mode=mode) as made:
+            for name in ("a/b.txt", "x" * 150 + "/é"):
+                info = tarfile.TarInfo(name)
+                info.size = 500
+                made.addfile(info, io.BytesIO(bytes(500)))
+        found.append(tar.getvalue())
+    return found
+
+
+def unpacked(path: Path) -> None:
+    from pytest_cpas.reading.archives import unpack
+
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        unpack(path, Path(folder) / "to")
+        assert {p.name for p in Path(folder).iterdir()} == {"to"}
+
+
+def tensors() -> list[bytes]:
+    import torch
+
+    content = {"a.weight": torch.ones(3, 4), "b": {"c": torch.zeros(5, dtype=torch.int64)}}
+    return [
+        saved(lambda file, new=new: torch.save(content, file, _use_new_zipfile_serialization=new))
+        for new in (True, False)
+    ]
+
+
+def arrays() -> list[bytes]:
+    values = {"a": np.eye(3), "names": np.array(["x", "yy"]), "ids": np.arange(5)}
+    return [
+        saved(lambda f: np.savez(f, **values)),
+        saved(lambda f: np.savez_compressed(f, **values)),
+    ]
+
+
+def predictions() -> list[bytes]:
+    pose = np.diag([0.2, 0.2, 0.2, 1.0])
+    side = {
+        "class_ids": np.array([2, 6]),
+        "bboxes": np.array([[0, 0, 10, 10], [0, 20, 10, 30.0]]),
+        "RTs": np.stack([pose, pose]),
+        "scales": np.ones((2, 3)),
+        "offset": np.array([0, 1, 2]),
+    }
+    both = {f"{name}_{key}": array for name in ("gt", "pred") for key, array in side.items()}
+    return [saved(lambda file: np.savez(file, frame=np.array(["scene_1_0000", "b"]), **both))]
+
+
+def judged(path: Path) -> None:
+    from pytest_cpas.evaluation import SampleError, StoredRun
+
+    run = StoredRun(path)
+    for ref in run.samples:
+        try:
+            row = run.judge(ref)
+            assert row.failure or np.isfinite([row.translation_error, row.rotation_error]).all()
+        except SampleError:
+            pass
+
+
+def results() -> list[bytes]:
+    from pytest_cpas.evaluation.results import checksum_of
+
+    header = {
+        "header": {
+            "method": "m", "dataset": "d", "shard": "1/1", "selected": 2, "listed": {"mug": 2},
+            "missing": [], "damaged": [], "identity": {"data": "x"}, "provenance": {"code": "y"},
+            "seeds": 1, "under_contract": True, "nonce": "00",
+        },
+        "format": FORMAT,
+    }  # fmt: skip
+    row = {
+        "translation_error": 0.01, "rotation_error": 3.5, "iou": 0.9, "fscore_1cm": None,
+        "failure": None, "estimate": None, "repeats": "", "shape": None,
+    }  # fmt: skip
+    failed = row | {
+        "translation_error": float("inf"), "rotation_error": float("inf"),
+        "iou": float("-inf"), "failure": "not detected",
+    }  # fmt: skip
+    contract = {
+        "check": "c", "outcome": "passed", "demanded": True, "message": "", "known": False,
+        "recorded": False,
+    }  # fmt: skip
+    values = [
+        header,
+        {"contract": contract},
+        {"row": row, "ref": ["a/0", "mug", "a", ""]},
+        {"error": "it raised", "ref": ["a/1", "mug", "a", ""]},
+        {"program": {"code": "z"}},
+        {"row": failed, "ref": ["a/1", "mug", "a", ""]},
+    ]
+    made, last = b"", b""
+    for value in values:
+        text = json.dumps(value, separators=(",", ":")).encode()
+        last = checksum_of(last, text)
+        made += last + b" " + text + b"\n"
+    return [made]
+
+
+FORMAT = 5
+
+
+def merged(path: Path) -> None:
+    from pytest_cpas.evaluation import SampleError, merge
+    from pytest_cpas.golden import RunTable
+
+    for run in merge([path], allow_gaps=True):
+        rows = []
+        for ref in run.samples:
+            try:
+                rows.append(run.judge(ref))
+            except SampleError:
+                continue
+        RunTable.of(run, rows).samples_csv()
+
+
+def goldens() -> list[bytes]:
+    from types import SimpleNamespace
+
+    from pytest_cpas.evaluation import Row
+    from pytest_cpas.golden import RunTable
+
+    rows = [
+        Row(
+            sample=f"a/{index}", category="mug", translation_error=0.01 * index,
+            rotation_error=3.0 * index, iou=0.5, fscore_1cm=None, failure=None, repeats="11-0 ----",
+        )
+        for index in range(4)
+    ]  # fmt: skip
+    run: Any = SimpleNamespace(
+        method="m", dataset="d", identity={"data": "x"}, provenance={"code": "y"},
+        listed={"mug": 4}, seeds=3,
+    )  # fmt: skip
+    table = RunTable.of(run, rows)
+    samples = table.samples_csv()
+    return [table.table_toml(samples).encode() + SEPARATOR + samples.encode()]
+
+
+def golden(path: Path) -> None:
+    from pytest_cpas.golden.files import read_golden
+
+    toml, _, samples = path.read_bytes().partition(SEPARATOR)
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        place = Path(folder) / "recorded" / "m" / "d"
+        place.mkdir(parents=True)
+        (place / "table.toml").write_bytes(toml)
+        (place / "samples.csv").write_bytes(samples)
+        read_golden(place)
+
+
+def number_text(path: Path) -> None:
+    """A text of numbers in all the ways in which they are asked for."""
+    from pytest_cpas.reading.files import decoded
+    from pytest_cpas.reading.numbers import numbers, quaternion_rotation, whole
+    from pytest_cpas.reading.paths import below, natural
+    from pytest_cpas.reading.structured import json_value
+    from pytest_cpas.types import DataError
+
+    text = decoded(path, path.read_bytes(), "replace")
+    sorted([natural(text), natural("a1"), natural("1")])
+    whole(text)
+    with suppress(DataError):
+        assert ".." not in below(path, text, "it").parts
+    value = json_value("it", text.encode())
+    assert np.isfinite(numbers(value, (4,), "it")).all()
+    quaternion_rotation(value, "it")
+
+
+def table_text(path: Path) -> None:
+    from pytest_cpas.reading.tables import read_csv, real
+
+    for record in read_csv(path):
+        for text in record.values():
+            try:
+                assert np.isfinite(real(text, most=1e9))
+            except ValueError:
+                continue
+
+
+def whole_file(path: Path) -> None:
+    from pytest_cpas.reading.files import read_bytes, read_text, sha256
+    from pytest_cpas.reading.paths import names
+
+    assert sha256(path) == hashlib.sha256(read_bytes(path)).hexdigest()
+    assert path.name in names(path.parent)
+    read_text(path)
+
+
+def of(module: str, function: str, *arguments: object) -> Callable[[Path], object]:
+    """Calls a reader of a module, which is imported when it is first needed."""
+
+    def run(path: Path) -> object:
+        import importlib
+
+        return getattr(importlib.import_module(module), function)(path, *arguments)
+
+    return run
+
+
+def own_errors() -> tuple[type[Exception], ...]:
+    from pytest_cpas.evaluation import ResultsError
+    from pytest_cpas.golden import GoldenError
+    from pytest_cpas.reading.archives import ArchiveError
+    from pytest_cpas.report.stored import StoredReportError
+    from pytest_cpas.timing.records import RecordError
+
+    return ContractError, ResultsError, GoldenError, ArchiveError, StoredReportError, RecordError
+
+
+R = "pytest_cpas.reading."
+JSON = b'{"a": [1, 2.5, -3e4], "b": {"c": "text \\u00e9", "d": [null, true]}, "e": [[1], [2]]}'
+TOML = b"format = 1\n[a]\nb = \"x\"\nc = [1, 2.5, [3]]\n[[d]]\ncheck = \"e\"\nreason = '''\nf'''\n"
+YAML = b"a: [1, 2.5]\nb:\n  - {c: d}\n  - e: 2020-01-01\nf: &x text\ng: *x\n"
+CSV = b'id,category,value\na/0,mug,1.5\n"b,1",can,2\nc,"x\ny",3e-4\n'
+KNOWN = (
+    b'[[metric]]\ncheck = "c"\noutcome = "raised"\nreason = "r"\ncase = \'{"a": [1]}\'\n'
+    b'snippet = "s"\n'
+)
+SPEED = (
+    b'format = 1\n[spread]\nlower = 0.9\nupper = 1.1\nconfidence = 0.99\n[identity]\n"data" = "x"\n'
+    b'[provenance]\n"cpu" = "y"\n[ratios]\n"a/0" = 1.5\n'
+)
+
+READERS: dict[str, Reader] = {
+    "bytes": Reader(
+        whole_file, lambda: [JSON], covers=("files.read_bytes", "files.read_text", "files.sha256",
+                                            "files.opened", "files.regular", "paths.names"),
+    ),
+    "json": Reader(of(R + "structured", "read_json"), lambda: [JSON], mutations=TEXT,
+                   covers=("structured.read_json", "structured.parse_json")),
+    "toml": Reader(of(R + "structured", "read_toml"), lambda: [TOML], mutations=TEXT,
+                   covers=("structured.read_toml", "structured.parse_toml", "files.decoded")),
+    "yaml": Reader(of(R + "structured", "read_yaml"), lambda: [YAML], mutations=TEXT,
+                   covers=("structured.read_yaml",)),
+    "csv": Reader(table_text, lambda: [CSV], mutations=TEXT,
+                  covers=("tables.read_csv", "tables.csv_table", "tables.csv_lines",
+                          "tables.by_column", "tables.real", "files.lines_of")),
+    "numbers": Reader(number_text, lambda: [b"[0, 0, 0, 1]", b'[[0.6], ["0.8"], 0, -0]', b'"3"'],
+                      mutations=TEXT,
+                      covers=("numbers.numbers", "numbers.quaternion_rotation", "numbers.whole",
+                              "paths.natural", "paths.below", "structured.json_value")),
+    "npy": Reader(of(R + "arrays", "read_npy"), lambda: [saved(lambda f: np.save(f, np.eye(3)))],
+                  mutations=(npy_header,), covers=("arrays.read_npy",)),
+    "npz": Reader(of(R + "arrays", "read_npz"), arrays, mutations=ARCHIVE,
+                  covers=("arrays.read_npz",)),
+    "rgb": Reader(of(R + "images", "read_rgb", CAMERA), images("RGB"), mutations=(png_chunks,),
+                  covers=("images.read_rgb",)),
+    "depth": Reader(of(R + "images", "read_depth", CAMERA), images("I;16"), ".png",
+                    mutations=(png_chunks,), covers=("images.read_depth",)),
+    "ids": Reader(of(R + "images", "read_ids", CAMERA), images("L"), mutations=(png_chunks,),
+                  covers=("images.read_ids",)),
+    "image size": Reader(of(R + "images", "image_size"), images("RGB"), mutations=(png_chunks,),
+                         covers=("images.image_size",)),
+    **{
+        kind: Reader(of(R + "meshes", "read_mesh"), meshes(kind), f".{kind}",
+                     mutations=() if kind == "stl" else TEXT, covers=("meshes.read_mesh",))
+        for kind in ("obj", "off", "ply", "stl")
+    },
+    "archive": Reader(unpacked, archives, mutations=(zip_fields,), covers=("archives.unpack",)),
+    "tensors": Reader(of(R + "checkpoints", "read_tensors"), tensors, mutations=(zip_fields,),
+                      covers=("checkpoints.read_tensors",)),
+    "pickle": Reader(of(R + "pickles", "load_numpy_pickle"),
+                     lambda: [__import__("pickle").dumps({"a": np.eye(3), "b": [1, "x"]}, protocol)
+                              for protocol in range(6)],
+                     covers=("pickles.load_numpy_pickle", "pickle_loop.unpickle",
+                             "pickle_limits.check_values")),
+    "predictions": Reader(judged, predictions, ".npz", mutations=ARCHIVE),
+    "results": Reader(merged, results, ".jsonl", mutations=(checksummed,) * 4),
+    "golden": Reader(golden, goldens, mutations=(matching,) * 4),
+    "known": Reader(of("pytest_cpas.checks.known", "read_known", "metric", ["c"]), lambda: [KNOWN],
+                    mutations=TEXT),
+    "speed": Reader(of("pytest_cpas.timing.records", "read_record"), lambda: [SPEED],
+                    mutations=TEXT),
+    "report": Reader(of("pytest_cpas.report.stored", "read_report"),
+                     lambda: [b'{"format": 5, "runs": []}', JSON], mutations=TEXT),
+}  # fmt: skip
+
+# -- running ------------------------------------------------------------------------------------
+
+
+def case(name: str, number: int) -> bytes:
+    """The content of a case: the same for the same name and number."""
+    reader = READERS[name]
+    dice = random.Random(f"{name} {number}")
+    content = dice.choice(reader.seeds())
+    for mutate in dice.sample(
+        (damaged, *reader.mutations), k=1 if dice.random() < 0.8 or not reader.mutations else 2
+    ):
+        content = mutate(content, dice)
+    return content
+
+
+def complaint(name: str, path: Path, errors: tuple[type[Exception], ...]) -> str:
+    """What is wrong with how a reader takes a file; "" if nothing is."""
+    before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    try:
+        READERS[name].run(path)
+        told = ""
+    except errors as error:
+        told = str(error)
+        cause: BaseException | None = error
+        while cause is not None:
+            if isinstance(cause, MemoryError):
+                return f"{type(cause).__name__} behind {told[:200]}"
+            cause = cause.__cause__ or cause.__context__
+        if name not in ("numbers", "golden") and path.name not in told:
+            return f"the error does not name the file: {told[:300]}"
+    except BaseException:
+        return traceback.format_exc()
+    seconds = time.process_time() - start  # others may be busy
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+    slow = f"{seconds:.2f} s ({told[:100]})" if seconds > SECONDS else ""
+    large = f"{grown / 2**20:.0f} MiB more memory" if grown > MEMORY else ""
+    return " ".join(filter(None, (slow, large)))
+
+
+def work(name: str, first: int, count: int, folder: Path) -> None:
+    """Run cases in this process; complaints go to standard output, as JSON lines."""
+    faulthandler.enable()
+    warnings.simplefilter("ignore")
+    errors = own_errors()
+    for seed in READERS[name].seeds():  # imports, and what is compiled, take no case's second
+        path = folder / f"seed{READERS[name].suffix}"
+        path.write_bytes(seed)
+        with suppress(*errors):
+            READERS[name].run(path)
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + 2 * MEMORY, hard))
+    for number in range(first, first + count):
+        print(json.dumps({"begun": number}), flush=True)
+        path = folder / f"case{number}{READERS[name].suffix}"
+        path.write_bytes(case(name, number))
+        wrong = complaint(name, path, errors)
+        path.unlink()
+        if wrong:
+            print(json.dumps({"wrong": wrong, "number": number}), flush=True)
+
+
+def fuzz(name: str, first: int, count: int) -> list[str]:
+    """Complaints about ``count`` cases of a reader, in a process of their own."""
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, __file__, "work", name, str(first), str(count), folder]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60 + 2 * count)
+    begun = -1
+    for line in done.stdout.splitlines():
+        value = json.loads(line)
+        begun = value.get("begun", begun)
+        if "wrong" in value:
+            found.append(f"{name}, case {value['number']}: {value['wrong']}")
+    if done.returncode:
+        found.append(f"{name}, case {begun}: exit {done.returncode}\n{done.stderr[-3000:]}")
+    return found
+
+
+def guided(name: str, seconds: int) -> None:
+    """The same by coverage, in this process, until something is found or the time is over."""
+    import atheris
+
+    errors = own_errors()
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as corpus:
+        path = Path(folder) / f"case{READERS[name].suffix}"
+        for index, seed in enumerate(READERS[name].seeds()):
+            (Path(corpus) / str(index)).write_bytes(seed)
+
+        def once(content: bytes) -> None:
+            path.write_bytes(content)
+            if wrong := complaint(name, path, errors):
+                raise RuntimeError(f"{name}: {wrong}")
+
+        atheris.instrument_all()
+        options = [f"-max_total_time={seconds}", "-rss_limit_mb=4096", "-timeout=5", corpus]
+        atheris.Setup([sys.argv[0], *options], once)
+        atheris.Fuzz()
+
+
+def main(arguments: list[str]) -> int:
+    if arguments[:1] == ["work"]:
+        name, first, count, folder = arguments[1:]
+        work(name, int(first), int(count), Path(folder))
+        return 0
+    if arguments[:1] == ["guided"]:
+        guided(arguments[1], int(arguments[2]))
+        return 0
+    if arguments[:1] == ["--atheris"]:
+        ends = {
+            name: subprocess.run(
+                [sys.executable, __file__, "guided", name, arguments[1]]
+            ).returncode
+            for name in READERS
+        }
+        print(ends)
+        return int(any(ends.values()))
+    count, seed = int(arguments[0]), int(arguments[1]) if arguments[1:] else 0
+    each = -(-count // len(READERS))
+    wrong = []
+    for name in READERS:
+        start = time.perf_counter()
+        found = fuzz(name, seed * 1_000_000, each)
+        wrong += found
+        print(
+            f"{name}: {each} cases, {len(found)} wrong, {time.perf_counter() - start:.1f} s",
+            flush=True,
+        )
+        print("\n".join(found[:5]))
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
