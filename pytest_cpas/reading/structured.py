@@ -118,6 +118,8 @@ def _depth(content: bytes) -> int:
     brackets = content.translate(None, _NOT_BRACKETS)
     if len(brackets) <= DEEPEST:
         return len(brackets)
+    if b"\\" not in content:  # which is several times faster
+        return _bracket_depth(b"".join(content.split(b'"')[::2]))
     return _bracket_depth(_STRING.sub(b"", content))
 
 
