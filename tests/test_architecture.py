@@ -53,7 +53,6 @@ ARROWS: Mapping[str, set[str]] = {
         "diagnosis",
         "golden",
         "protocols",
-        "facts",
         "evaluation",
         "datasets",
         "metrics",
