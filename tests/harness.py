@@ -43,5 +43,5 @@ class DeclaredOptions:
         self.names.add(name)
         self.parser.add_argument(name, **keywords)
 
-    def addini(self, *_: str) -> None:
+    def addini(self, *_: str, **keywords: object) -> None:
         pass

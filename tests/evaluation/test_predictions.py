@@ -106,6 +106,7 @@ def test_detections_are_assigned_by_descending_box_iou():
 def test_undetected_truth_is_not_correct(path):
     nothing = {
         "pred_class_ids": np.array([]),
+        "pred_scores": np.array([]),
         "pred_bboxes": np.array([]),
         "pred_RTs": np.zeros((0, 4, 4)),
         "pred_scales": np.zeros((0, 3)),

@@ -43,7 +43,7 @@ def test_regression_fails_and_is_named(recorded, pytester, how):
     result.stdout.fnmatch_lines(
         [
             "REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
-            "      lost: scene_0/0001 (0 cm, 0 deg, F 1 -> 0 cm, 7 deg, F 1); *",
+            "      lost: scene_0/0001 (0 cm, 0 deg, IoU 1, F 1, * -> 0 cm, 7 deg, IoU *); *",
             "  5 deg, 1 cm, F 0.8: 6 -> 0 of 6 correct",
             "golden: MATCHES bowl: all 6 samples agree with the golden table",
             "golden: REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
@@ -119,7 +119,7 @@ def test_what_a_method_does_not_give_is_na(cpas):
         ("GivesNan", "translation (metres): 1 of 3 values are NaN or infinite", ()),
         ("LeftHanded", "rotation: determinant -1, a reflection (left-handed)", ()),
         ("Scaled", "rotation: not orthonormal", ()),
-        ("NegativeExtents", "extents: [-0.1, -0.08, -0.12], expected three positive", ()),
+        ("NegativeExtents", "extents (metres): [-0.1, -0.08, -0.12], expected three positive", ()),
         ("ForgetsShape", "hypothesis: shape is None, but info.gives has 'shape'", ()),
         ("Raises", "the method raised RuntimeError('the network exploded')", ()),
         ("Raises", "the method raised RuntimeError('the network exploded')", ("-n2",)),
