@@ -93,6 +93,7 @@ class MethodRun(Run):
         self.info = method.info
         self.provenance = {
             **self.provenance,
+            **({} if method.info.deterministic else {"deterministic": "no"}),
             **program_of(type(method)).facts(),
             "data_code": program_of(*readers_of(dataset)).code,
         }

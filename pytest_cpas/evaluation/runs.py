@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
+from threadpoolctl import threadpool_info
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation.rows import Row
@@ -21,6 +22,7 @@ from pytest_cpas.protocols import (
     Ranking,
     count_columns,
     facts_of,
+    ranking_columns,
     score_columns,
     shipped_protocol,
 )
@@ -33,6 +35,19 @@ __all__ = ["Run", "SampleError", "Selection"]
 
 #: Facts that every run measures: what is said of a sample in words.
 _POSE = ("position_m", "rotation_deg")
+
+
+def kernels() -> str:
+    """Which code for linear algebra and which instructions of the processor numpy uses: what makes
+    the last bits of sums other ones on another machine."""
+    # others may be loaded later, or not at all
+    own = [pool for pool in threadpool_info() if "numpy" in str(pool.get("filepath"))]
+    words = sorted(
+        f"{pool.get('internal_api')} {pool.get('version')} {pool.get('architecture', '')}".strip()
+        for pool in own
+    )
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    return ", ".join([*words, *found[-1:]]) or "unknown"
 
 
 class SampleError(Exception):
@@ -79,6 +94,7 @@ class Run(ABC):
 
     provenance: Mapping[str, str] = {
         "platform": f"{platform.system()} {platform.machine()}",
+        "kernels": kernels(),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,
@@ -114,7 +130,10 @@ class Run(ABC):
             *score_columns(self.protocols),
         )
         self.facts = tuple(in_order((*_POSE, *facts_of(of_samples))))
-        self.definitions = {name: fact(name).definition for name in self.facts}
+        ranked = facts_of(ranking_columns(self.protocols))
+        self.definitions = {
+            name: fact(name).definition for name in in_order((*self.facts, *ranked))
+        }
 
     @abstractmethod
     def judge(self, ref: SampleRef) -> Row:

@@ -19,13 +19,17 @@ from pytest_cpas.metrics.pose import rotation_error, translation_error
 from pytest_cpas.metrics.surfaces import SAMPLE_COUNT
 from pytest_cpas.types import Array, ContractError
 
-__all__ = ["Fact", "FactError", "Facts", "all_facts", "fact", "in_order"]
+__all__ = ["SAME", "Fact", "FactError", "Facts", "all_facts", "fact", "in_order"]
 
 #: The facts of one answer by name; None is n/a.
 Facts: TypeAlias = Mapping[str, float | None]
 
 #: What a method must give for a fact to be known.
 Part: TypeAlias = Literal["extents", "shape"]
+
+
+#: Values of a fact that differ by a smaller share are the same for people.
+SAME = 1e-3
 
 
 class FactError(ContractError):
@@ -55,6 +59,12 @@ class Fact:
     def failed(self) -> float:
         """Of a sample without an answer: it meets no limit."""
         return -math.inf if self.better == "higher" else math.inf
+
+    def is_close(self, one: float, other: float) -> bool:
+        """Whether two values differ by no more than :data:`SAME` of themselves, or by what nobody
+        looks at: a micrometre, 1e-4 degrees, 1e-5 of what has no unit."""
+        finest = {"m": 1e-6, "deg": 1e-4, "": 1e-5}[self.unit]
+        return math.isclose(one, other, rel_tol=SAME, abs_tol=finest)
 
     @property
     def most(self) -> float:

@@ -7,7 +7,8 @@ The facts decide; the cells follow from them, and are checked on reading. Tables
 :mod:`pytest_cpas.golden.comparison`.
 """
 
-from pytest_cpas.golden.comparison import Word, compare, detectable_flips
+from pytest_cpas.golden.comparison import compare
+from pytest_cpas.golden.exact import detectable_flips
 from pytest_cpas.golden.files import find_golden, orphans, read_golden, record, shipped_golden
 from pytest_cpas.golden.jitter import recorded_words
 from pytest_cpas.golden.pairing import SharedColumn, shared_columns
@@ -33,6 +34,7 @@ from pytest_cpas.golden.tables import (
     differences,
 )
 from pytest_cpas.golden.texts import FORMAT
+from pytest_cpas.golden.words import Word
 from pytest_cpas.types import Verdict
 
 __all__ = [

@@ -10,67 +10,21 @@ Everything here is pure: tables in, verdicts out.
 
 from __future__ import annotations
 
-import bisect
 import functools
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.golden.exact import Exact, to_record
 from pytest_cpas.golden.jitter import answers_of, loss_words, luckiest
 from pytest_cpas.golden.pairing import Pairing, SharedColumn, shared_columns
 from pytest_cpas.golden.spread import ALARM, DOUBT, Spread
 from pytest_cpas.golden.tables import RunTable, differences
-from pytest_cpas.types import Verdict, VerdictWord
+from pytest_cpas.golden.words import Word
+from pytest_cpas.types import Verdict
 from pytest_cpas.types.samples import ALL, COMPLETENESS
-
-#: With this probability a part of the samples shows a change of the size that it states.
-CONFIDENCE = 0.95
-
-
-class Word(VerdictWord):
-    """The verdict on one category of a run."""
-
-    #: Every sample meets the same thresholds as when the table was recorded; of a table that was
-    #: recorded under several seeds that disagree: nothing is improbable beside them.
-    MATCHES = "MATCHES", "passed"
-    #: There is no recorded table, and the exact binomial interval of each count holds what the
-    #: paper prints for this method and data set.
-    AGREES = "AGREES WITH THE PAPER", "passed"
-    #: The same, and an interval lies above what the paper prints.
-    ABOVE = "ABOVE THE PAPER", "passed"
-    #: At some threshold more samples were lost than gained; they are named with their errors.
-    #: Against the paper: an interval lies below what it prints.
-    REGRESSED = "REGRESSED", "failed"
-    #: Of a table recorded under several seeds: a loss that less than 5 % of all runs without a
-    #: change show anywhere, but not as improbable as --cpas-alarm asks of REGRESSED. Its p is told;
-    #: it fails with --cpas-require-golden=strict.
-    PROBABLY_WORSE = "PROBABLY WORSE", "skipped", "skipped", "failed"
-    #: Of a table recorded under several seeds: nothing is improbable beside them, but not even the
-    #: loss of every sample of this category would be; that of others would.
-    CANNOT_TELL = "CANNOT TELL", "skipped"
-    #: Samples were gained and none lost: look at it and record it.
-    IMPROVED = "IMPROVED", "failed"
-    #: As many lost as gained, or other samples, or fewer than there were, or a metric is n/a that
-    #: was not.
-    CHANGED = "CHANGED", "failed"
-    #: The table was made with other data, weights, seed, device or metric definitions: not
-    #: comparable.
-    STALE = "STALE", "failed"
-    #: The table was edited by hand or is torn.
-    DAMAGED = "DAMAGED", "failed"
-    #: There is no table, or one whose seeds could show no loss at all, or only a part of the
-    #: samples was judged (and agrees).
-    NOT_CHECKED = "NOT CHECKED", "skipped", "failed"
-    #: The table has the form of an earlier version, which knew less: record it anew. What it knows
-    #: is judged all the same.
-    OUTDATED = "OUTDATED", "passed"
-    #: With --snapshot-update: the table was written.
-    RECORDED = "RECORDED", "passed"
-    #: With --snapshot-update: it was not, for the reason that is given.
-    NOT_RECORDED = "NOT RECORDED", "failed"
 
 
 def compare(
@@ -116,9 +70,12 @@ def compare(
     notes = {category: _notes(golden, new, category) for category in categories}
     others = _other_columns(golden, new, columns)
     if not any(sample.wavers for sample in golden.samples.values()):
-        seeds = golden.seeds, new.seeds
-        exact = [_exact_verdict(p, columns, seeds, notes[p.category]) for p in pairings]
-        return [*exact, *others]
+        exact = Exact(golden, new, columns, alarm / (2 * (len(categories) + 1)))
+        verdicts = [exact.verdict(p, notes[p.category]) for p in pairings]
+        if not any(verdict.failed for verdict in verdicts):
+            together = exact.drifted(Pairing.of(golden, new, None), [])
+            verdicts += [together] if together else []
+        return [*verdicts, *others]
     pairings.append(Pairing.of(golden, new, None))
     notes[ALL] = list(dict.fromkeys(line for lines in notes.values() for line in lines))
     answers = answers_of(golden, new, columns)
@@ -168,6 +125,12 @@ def _other_columns(
                 " --snapshot-update"
             )
             verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
+    if golden.ranking is not None and new.ranking is None and new.ranking_columns:
+        told = (
+            "the golden table ranks detections, and this run has none to rank: average precision is"
+            " judged of all frames, with scores"
+        )
+        verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
     if lacking := [name for name in then if name not in here]:
         told = (
             f"the golden table has columns of {', '.join(lacking)}, which this run was not judged"
@@ -181,32 +144,6 @@ def _other_columns(
         )
         verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
     return verdicts
-
-
-def _exact_verdict(
-    pairing: Pairing,
-    columns: Sequence[SharedColumn],
-    seeds: tuple[int, int],
-    notes: Sequence[str],
-) -> Verdict:
-    """Where no flip is allowed; ``seeds``: of the golden table, of the run."""
-    changes = [(flips, column) for column in columns if (flips := pairing.flips(column))]
-    changes.sort(key=lambda change: change[0].net)  # what fell most stands first
-    lines = [line for flips, column in changes for line in pairing.told(column, flips)]
-    lines += pairing.other_samples
-    if wavering := [name for name in pairing.both if pairing.new[name].wavers]:
-        lines.append(
-            f"the {seeds[1]} seeds of this run disagree in {len(wavering)} samples, first"
-            f" {wavering[0]}; the golden table has {seeds[0]}, without disagreement"
-        )
-    if not lines:
-        return _unchanged(pairing, "agree with the golden table")
-    if changes and changes[0][0].net < 0:
-        return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *notes]))
-    only_gains = not (pairing.other_samples or wavering) and not any(
-        flips.lost or flips.not_applicable for flips, _ in changes
-    )
-    return _to_record(Word.IMPROVED if only_gains else Word.CHANGED, pairing, lines, notes)
 
 
 @dataclass(frozen=True)
@@ -251,7 +188,7 @@ class _Spread:
             return Verdict(words[0], scope, "\n  ".join([*lines, advice, *self.notes[scope]]))
         # worse here and better there is neither
         word = words[0] if len(words) == 1 else Word.CHANGED
-        return _to_record(word, pairing, lines, self.notes[scope])
+        return to_record(word, pairing, lines, self.notes[scope])
 
     @property
     def _advice(self) -> str:
@@ -336,7 +273,7 @@ class _Spread:
         if not loss and word is Word.MATCHES:
             word = Word.CANNOT_TELL
         words += f"; {loss or f'not even the loss of all would be improbable: {_MORE_SEEDS}'}"
-        return Verdict(word, scope, "\n  ".join([words, *pairing.drift]))
+        return Verdict(word, scope, words)
 
 
 #: Samples that are named before the rest is only counted.
@@ -350,38 +287,3 @@ def _from_to(answers: NDArray[np.bool_]) -> str:
     """How many of n samples are correct under each of K seeds; (n, K)."""
     totals = sorted(set(answers.sum(axis=0).tolist()))
     return f"{totals[0]}" if len(totals) == 1 else f"{totals[0]} to {totals[-1]}"
-
-
-def _to_record(word: Word, pairing: Pairing, lines: Sequence[str], notes: Sequence[str]) -> Verdict:
-    advice = "if this is right, record it with --snapshot-update"
-    return Verdict(word, pairing.category, "\n  ".join([*lines, advice, *notes]))
-
-
-def _unchanged(pairing: Pairing, how: str) -> Verdict:
-    """No difference was found in what was judged; how much that was, and what may have moved."""
-    judged, total = len(pairing.both), pairing.total
-    if judged == total:
-        words = f"all {total} samples {how}"
-        return Verdict(Word.MATCHES, pairing.category, "\n  ".join([words, *pairing.drift]))
-    words = f"{judged} of {total} judged"
-    if judged:
-        words += (
-            f"; the {judged} judged {how}. A change of {detectable_flips(judged, total)} of the"
-            f" {total} samples or more would have shown in such a part with"
-            f" {100 * CONFIDENCE:.0f} % probability"
-        )
-    return Verdict(Word.NOT_CHECKED, pairing.category, "\n  ".join([words, *pairing.drift]))
-
-
-def detectable_flips(judged: int, total: int) -> int:
-    """The least number of flips among ``total`` samples of which a random part shows one.
-
-    With at least :data:`CONFIDENCE` probability, if ``judged`` >= 1 of them are judged; exact
-    (hypergeometric).
-    """
-    parts = math.comb(total, judged)
-
-    def shown(flips: int) -> float:
-        return 1 - math.comb(total - flips, judged) / parts
-
-    return bisect.bisect_left(range(total), CONFIDENCE, lo=1, key=shown)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pytest_cpas.facts import fact
-from pytest_cpas.golden.tables import SAME_ABSOLUTE, SAME_RELATIVE, RunTable, TableSample
+from pytest_cpas.golden.tables import RunTable, TableSample
 from pytest_cpas.protocols import CountColumn
 from pytest_cpas.types.samples import ALL
 
@@ -142,28 +140,6 @@ class Pairing:
     def total(self) -> int:
         """The samples that there are, or were."""
         return max(self.recorded, self.listed)
-
-    @property
-    def drift(self) -> list[str]:
-        """Facts that moved without crossing a threshold, the one that moved most named."""
-        lines = []
-        for what in self.new[self.both[0]].facts if self.both else ():
-            count, most = 0, (0.0, "", 0.0, 0.0)
-            for name in self.both:
-                old, new = self.old[name].facts.get(what), self.new[name].facts.get(what)
-                if old is None or new is None:
-                    continue
-                if not math.isclose(old, new, rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE):
-                    count, most = count + 1, max(most, (abs(new - old), name, old, new))
-            if count:
-                _, name, before, after = most
-                made = fact(what)
-                values = (f"{made.factor * value:.3g}" for value in (before, after))
-                first, second = map(made.pattern.format, values)
-                lines.append(
-                    f"note: {what} moved in {count} samples, most in {name}: {first} -> {second}"
-                )
-        return lines
 
 
 class _Share(NamedTuple):

@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from pytest_cpas.golden.comparison import Word
 from pytest_cpas.golden.files import shipped_golden
+from pytest_cpas.golden.words import Word
 from pytest_cpas.metrics.precision import Count
 from pytest_cpas.protocols import PAPER, CountColumn, shipped_protocol
 from pytest_cpas.reading.tables import read_csv

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -31,9 +30,6 @@ __all__ = ["GoldenError", "RunTable", "TableSample", "describe", "differences"]
 
 #: Characters of a reason that are kept.
 _LONGEST_REASON = 2000
-
-#: A fact that moved by less, relatively or absolutely, is not recorded anew.
-SAME_RELATIVE, SAME_ABSOLUTE = 1e-3, 1e-4
 
 
 class GoldenError(Exception):
@@ -84,7 +80,7 @@ class TableSample:
             and all(
                 a.failure == b.failure
                 and a.facts.keys() == b.facts.keys()
-                and all(_is_close(a.facts[name], b.facts[name]) for name in a.facts)
+                and all(_is_close(name, a.facts[name], b.facts[name]) for name in a.facts)
                 for a, b in zip(self.answers, other.answers, strict=True)
             )
         )
@@ -98,7 +94,8 @@ class RunTable:
     two columns to be, ``provenance`` need not; ``own_provenance`` is that of categories which were
     recorded by another run than the rest. ``listed`` counts per category the samples that there
     are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the detections of
-    the data set, None where there are none, or no protocol ranks them. ``outdated``: it was read
+    the data set, None where there are none, or no protocol ranks them. ``scenes``: of a run, by
+    sample. ``outdated``: it was read
     from files of an older form, which know less.
     """
 
@@ -113,6 +110,7 @@ class RunTable:
     seeds: int = 1
     ranking: Ranking | None = None
     own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    scenes: Mapping[str, str] = field(default_factory=dict, compare=False)
     outdated: bool = False
 
     @classmethod
@@ -141,6 +139,7 @@ class RunTable:
             listed=run.listed,
             seeds=run.seeds,
             ranking=run.ranking() if ranking_columns(run.protocols) else None,
+            scenes={ref.id: ref.scene for ref in run.samples},
         )
 
     @functools.cached_property
@@ -299,10 +298,10 @@ def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _is_close(one: float | None, other: float | None) -> bool:
+def _is_close(name: str, one: float | None, other: float | None) -> bool:
     if one is None or other is None:
         return one is other
-    return math.isclose(one, other, rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE)
+    return fact(name).is_close(one, other)
 
 
 def _recordable_text(text: str | None) -> str | None:

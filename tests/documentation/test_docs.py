@@ -33,7 +33,7 @@ from pytest_cpas.checks.metrics import KNOWN, PROPERTIES
 from pytest_cpas.checks.metrics.running import DEFAULT_EXAMPLES
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.cli import main
-from pytest_cpas.golden.comparison import Word
+from pytest_cpas.golden.words import Word
 from pytest_cpas.metrics import DEFINITIONS
 from pytest_cpas.timing.verdicts import SpeedWord
 

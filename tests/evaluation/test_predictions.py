@@ -110,7 +110,6 @@ def test_undetected_truth_is_not_correct(path):
         "pred_bboxes": np.array([]),
         "pred_RTs": np.zeros((0, 4, 4)),
         "pred_scales": np.zeros((0, 3)),
-        "pred_scores": np.array([]),
     }
     run = StoredRun(write(path, **nothing))
     assert {run.judge(ref).failure for ref in run.samples} == {"not detected"}

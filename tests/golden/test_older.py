@@ -7,8 +7,16 @@ import pytest
 from older_tables import record_older
 from tables import GOLDEN, a_row, a_run, rows, table, with_facts
 
-from pytest_cpas.golden import GoldenError, RunTable, find_golden, orphans, read_golden, record
-from pytest_cpas.golden.comparison import Word, compare
+from pytest_cpas.golden import (
+    GoldenError,
+    RunTable,
+    Word,
+    compare,
+    find_golden,
+    orphans,
+    read_golden,
+    record,
+)
 from pytest_cpas.golden.older import parse_older
 
 #: The files of version 1, and of those that take their place.

@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import binom
 
 from pytest_cpas.golden import shipped_golden
-from pytest_cpas.golden.comparison import Word
 from pytest_cpas.golden.published import (
     FALSE_ALARMS,
     PublishedCell,
@@ -15,6 +14,7 @@ from pytest_cpas.golden.published import (
     published_cells,
     published_sample_counts,
 )
+from pytest_cpas.golden.words import Word
 from pytest_cpas.metrics.precision import Count
 
 METHODS = ("asmnet", "cass", "crnet", "dpdn", "icaps", "rbppose", "sdfest", "sgpa", "spd")

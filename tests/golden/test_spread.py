@@ -12,8 +12,7 @@ from scipy import stats
 from tables import a_run
 
 from pytest_cpas.evaluation import Answer, Row
-from pytest_cpas.golden import RunTable
-from pytest_cpas.golden.comparison import Word, compare
+from pytest_cpas.golden import RunTable, Word, compare
 from pytest_cpas.golden.jitter import parse_alarm, recorded_words
 from pytest_cpas.golden.spread import ALARM, DOUBT, Answers, Spread, _ask
 from pytest_cpas.metrics.precision import Count

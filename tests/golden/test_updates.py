@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from tables import GOLDEN, REFS, Fixed, a_run, rows, table, with_facts
 
-from pytest_cpas.golden import GoldenError, RunTable, read_golden, record
-from pytest_cpas.golden.comparison import Word, compare
+from pytest_cpas.golden import GoldenError, RunTable, Word, compare, read_golden, record
 from pytest_cpas.protocols import CountColumn, Protocol, shipped_protocol
 
 CPAS, OMNI = shipped_protocol("cpas"), shipped_protocol("omni6dpose")

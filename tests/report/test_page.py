@@ -15,7 +15,7 @@ from tables import CPAS, GOLDEN, REFS, Fixed, a_row, a_run, rows
 
 from pytest_cpas.evaluation import Row
 from pytest_cpas.golden import RunTable, shipped_golden
-from pytest_cpas.golden.comparison import Word
+from pytest_cpas.golden.words import Word
 from pytest_cpas.report.curves import charts, curve_lines
 from pytest_cpas.report.document import document
 from pytest_cpas.report.markdown import markdown

@@ -9,8 +9,7 @@ from harness import RUN
 from older_tables import record_older
 
 from pytest_cpas.evaluation import MethodRun
-from pytest_cpas.golden import RunTable, find_golden, record
-from pytest_cpas.golden.comparison import Word, compare
+from pytest_cpas.golden import RunTable, Word, compare, find_golden, record
 
 #: What is wrong, and the columns that must show it.
 WRONG = {

@@ -6,7 +6,7 @@ import pytest
 
 from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.golden.comparison import Word
+from pytest_cpas.golden.words import Word
 from pytest_cpas.timing.verdicts import SpeedWord
 from pytest_cpas.types import VerdictWord
 from reference.code import doc_comments

@@ -1,0 +1,144 @@
+"""The verdict on a category where no flip is allowed: a golden table of one seed, or of seeds that
+agree."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pytest_cpas.facts import SAME
+from pytest_cpas.golden.drift import Drift, drifts, is_same_platform
+from pytest_cpas.golden.pairing import Pairing, SharedColumn
+from pytest_cpas.golden.rankings import ranking_changes
+from pytest_cpas.golden.tables import RunTable
+from pytest_cpas.golden.words import Word
+from pytest_cpas.types import Verdict
+
+__all__ = ["Exact", "detectable_flips", "to_record"]
+
+#: With this probability a part of the samples shows a change of the size that it states.
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Where no flip is allowed; ``level``: the probability of a false alarm of drift in a category,
+    in one direction."""
+
+    golden: RunTable
+    new: RunTable
+    columns: Sequence[SharedColumn]
+    level: float
+
+    def verdict(self, pairing: Pairing, notes: Sequence[str]) -> Verdict:
+        """The verdict on a category."""
+        changes = [(flips, column) for column in self.columns if (flips := pairing.flips(column))]
+        changes.sort(key=lambda change: change[0].net)  # what fell most stands first
+        lines = [line for flips, column in changes for line in pairing.told(column, flips)]
+        rankings = list(ranking_changes(self.golden, self.new, pairing.category))
+        lines += [line for change in rankings for line in change.lines]
+        lines += pairing.other_samples
+        if wavering := [name for name in pairing.both if pairing.new[name].wavers]:
+            lines.append(
+                f"the {self.new.seeds} seeds of this run disagree in {len(wavering)} samples, first"
+                f" {wavering[0]}; the golden table has {self.golden.seeds}, without disagreement"
+            )
+        moved = list(drifts(pairing, self.columns, self._facts, self.new.scenes))
+        drift = [f"note: {each.told()}" for each in moved]
+        if not lines:
+            return self._drifted(pairing, moved, notes) or _unchanged(pairing, drift)
+        worse = [flips.net for flips, _ in changes] + [change.gain for change in rankings]
+        if worse and min(worse) < 0:
+            return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *drift, *notes]))
+        only_gains = (
+            not (pairing.other_samples or wavering)
+            and not any(flips.lost or flips.not_applicable for flips, _ in changes)
+            and all(change.gain > 0 for change in rankings)
+        )
+        word = Word.IMPROVED if only_gains else Word.CHANGED
+        return to_record(word, pairing, [*lines, *drift], notes)
+
+    def drifted(self, pairing: Pairing, notes: Sequence[str]) -> Verdict | None:
+        """The verdict on the facts of all samples together; None if they may have moved so."""
+        moved = list(drifts(pairing, self.columns, self._facts, self.new.scenes))
+        return self._drifted(pairing, moved, notes)
+
+    @property
+    def _facts(self) -> Sequence[str]:
+        """What both tables know of samples, under one definition."""
+        then, now = self.golden.definitions, self.new.definitions
+        return [name for name in self.new.facts if then.get(name) == now.get(name) is not None]
+
+    def _drifted(
+        self, pairing: Pairing, moved: Sequence[Drift], notes: Sequence[str]
+    ) -> Verdict | None:
+        """The verdict on facts that moved although nothing flipped; None if they may have."""
+        if not moved:
+            return None
+        deterministic = all(
+            table.provenance_of(pairing.category).get("deterministic") != "no"
+            for table in (self.golden, self.new)
+        )
+        if deterministic and is_same_platform(self.golden, self.new, pairing.category):
+            head = (
+                "nothing flipped, but on the platform of the recording facts moved by more than"
+                f" {SAME:g} of themselves:"
+            )
+            lines = [head, *(f"    {each.told()}" for each in moved)]
+            return to_record(Word.CHANGED, pairing, lines, notes)
+        level = self.level / len(self._facts)
+        told: dict[Word, list[str]] = {}
+        for word, direction in ((Word.REGRESSED, "worse"), (Word.IMPROVED, "better")):
+            told[word] = [
+                f"    {each.told()}; {direction} in so many with p = {p:.1g}"
+                for each in moved
+                if (p := getattr(each, direction)) < level
+            ]
+        head = (
+            "nothing flipped, but facts moved one way in more samples than another platform moves:"
+        )
+        lines = [head, *told[Word.REGRESSED], *told[Word.IMPROVED]]
+        if told[Word.REGRESSED]:
+            return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *notes]))
+        if told[Word.IMPROVED]:
+            return to_record(Word.IMPROVED, pairing, lines, notes)
+        return None
+
+
+def to_record(word: Word, pairing: Pairing, lines: Sequence[str], notes: Sequence[str]) -> Verdict:
+    """A verdict that may be right, with how to keep it."""
+    advice = "if this is right, record it with --snapshot-update"
+    return Verdict(word, pairing.category, "\n  ".join([*lines, advice, *notes]))
+
+
+def _unchanged(pairing: Pairing, drift: Sequence[str]) -> Verdict:
+    """No difference was found in what was judged: how much that was, and what moved."""
+    judged, total = len(pairing.both), pairing.total
+    how = "agree with the golden table"
+    if judged == total:
+        words = f"all {total} samples {how}"
+        return Verdict(Word.MATCHES, pairing.category, "\n  ".join([words, *drift]))
+    words = f"{judged} of {total} judged"
+    if judged:
+        words += (
+            f"; the {judged} judged {how}. A change of {detectable_flips(judged, total)} of the"
+            f" {total} samples or more would have shown in such a part with"
+            f" {100 * CONFIDENCE:.0f} % probability"
+        )
+    return Verdict(Word.NOT_CHECKED, pairing.category, "\n  ".join([words, *drift]))
+
+
+def detectable_flips(judged: int, total: int) -> int:
+    """The least number of flips among ``total`` samples of which a random part shows one.
+
+    With at least :data:`CONFIDENCE` probability, if ``judged`` >= 1 of them are judged; exact
+    (hypergeometric).
+    """
+    parts = math.comb(total, judged)
+
+    def shown(flips: int) -> float:
+        return 1 - math.comb(total - flips, judged) / parts
+
+    return bisect.bisect_left(range(total), CONFIDENCE, lo=1, key=shown)
