@@ -63,6 +63,18 @@ def command_line() -> argparse.ArgumentParser:
     export.add_argument("results", type=Path, metavar="FILE", help="a file of --cpas-results")
     export.add_argument("--bop", type=Path, required=True, metavar="DIR", help="the data set")
     export.add_argument("--to", type=Path, required=True, metavar="CSV", help="what to write")
+    golden = commands.add_parser(
+        "golden",
+        help="what an update of golden tables changed",
+        description="Compare the golden tables of the working tree with those of a revision of"
+        " git: the samples that flipped, and the facts that moved. The exit code is 0 if there is"
+        " no difference, 1 if there is one, 2 for what cannot be compared.",
+    )
+    golden.add_argument("action", choices=["diff"])
+    golden.add_argument("revision", nargs="?", default="HEAD", metavar="REV", help="default: HEAD")
+    golden.add_argument(
+        "--golden", type=Path, default=Path("golden"), metavar="DIR", help="default: golden"
+    )
     fetching = commands.add_parser(
         "fetch",
         help="fetch a data set, or the weights of a method",
@@ -109,6 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fetch(options.name, options.to, options.yes)
     if options.command == "new-adapter":
         return _new_adapter(options)
+    if options.command == "golden":
+        return _golden_diff(options.golden, options.revision)
     return _export_bop(options)
 
 
@@ -142,6 +156,19 @@ def _report(options: argparse.Namespace) -> int:
         return 1
     say(f"wrote {to / 'report.html'}, .md and .json")
     return 0
+
+
+def _golden_diff(golden: Path, revision: str) -> int:
+    from pytest_cpas.golden import GoldenError, golden_diff
+
+    try:
+        lines = list(golden_diff(golden, revision))
+    except GoldenError as error:
+        say(f"pytest-cpas golden: {error}", file=sys.stderr)
+        return 2
+    if lines:
+        say(*lines)
+    return 1 if lines else 0
 
 
 def _new_adapter(options: argparse.Namespace) -> int:

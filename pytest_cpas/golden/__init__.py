@@ -25,6 +25,7 @@ from pytest_cpas.golden.published import (
     published_sample_counts,
     published_time,
 )
+from pytest_cpas.golden.revisions import golden_diff
 from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import (
     GoldenError,
@@ -55,6 +56,7 @@ __all__ = [
     "detectable_flips",
     "differences",
     "find_golden",
+    "golden_diff",
     "orphans",
     "published_cells",
     "published_curves",

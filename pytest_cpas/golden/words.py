@@ -31,7 +31,7 @@ class Word(VerdictWord):
     #: Samples were gained and none lost: look at it and record it.
     IMPROVED = "IMPROVED", "failed"
     #: As many lost as gained, or other samples, or fewer than there were, or a metric is n/a that
-    #: was not.
+    #: was not; or facts moved on the platform of the recording although nothing flipped.
     CHANGED = "CHANGED", "failed"
     #: The table was made with other data, weights, seed, device or metric definitions: not
     #: comparable.

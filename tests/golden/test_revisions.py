@@ -1,0 +1,76 @@
+"""``pytest-cpas golden diff``: what the tables of two revisions differ in, with a real git."""
+
+import subprocess
+
+import pytest
+from older_tables import record_older
+from tables import GOLDEN, table
+
+from pytest_cpas.cli import main
+from pytest_cpas.golden import GoldenError, golden_diff, record
+
+
+def git(folder, *arguments) -> None:
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+    subprocess.run(["git", *identity, *arguments], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture
+def repository(tmp_path):
+    git(tmp_path, "init", "-q")
+    record(tmp_path / "golden", GOLDEN)
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "one")
+    return tmp_path
+
+
+def test_no_difference(repository, capsys, monkeypatch):
+    monkeypatch.chdir(repository)
+    assert main(["golden", "diff"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_flips_are_named(repository, capsys, monkeypatch):
+    record(repository / "golden", table(s_03=9))
+    monkeypatch.chdir(repository)
+    assert main(["golden", "diff"]) == 1
+    told = capsys.readouterr().out
+    assert "m/d: REGRESSED mug: 5 deg, 1 cm: 5 -> 4 of 5 correct" in told
+    assert "s/03" in told
+    git(repository, "commit", "-qam", "two")
+    assert main(["golden", "diff"]) == 0
+    assert main(["golden", "diff", "HEAD~1"]) == 1
+
+
+def test_tables_that_came_and_went(repository):
+    (repository / "golden" / "recorded" / "m" / "d").rename(
+        repository / "golden" / "recorded" / "m" / "e"
+    )
+    assert list(golden_diff(repository / "golden", "HEAD")) == [
+        "m/d: there is none any more",
+        "m/e: there was none in HEAD",
+    ]
+
+
+def test_a_table_of_the_older_form_is_read_from_the_revision(tmp_path):
+    git(tmp_path, "init", "-q")
+    record_older(tmp_path / "golden", GOLDEN)
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "one")
+    record(tmp_path / "golden", table(s_03=9))
+    (line,) = golden_diff(tmp_path / "golden", "HEAD")
+    assert line.startswith("m/d: REGRESSED mug: ")
+
+
+@pytest.mark.parametrize("revision", ["nothing", "--help", "-x", "HEAD~9", ""])
+def test_what_is_no_revision_is_told(repository, revision):
+    with pytest.raises(GoldenError, match="a revision such as HEAD~1"):
+        list(golden_diff(repository / "golden", revision))
+
+
+def test_what_is_not_under_version_control_is_told(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    record(tmp_path / "golden", GOLDEN)
+    assert main(["golden", "diff", "--golden", str(tmp_path / "golden")]) == 2
+    assert "under version control" in capsys.readouterr().err
+    assert main(["golden", "diff", "--golden", str(tmp_path / "none")]) == 2
