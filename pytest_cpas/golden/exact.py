@@ -6,11 +6,13 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from scipy.special import bdtr
 
 from pytest_cpas.facts import SAME
 from pytest_cpas.golden.drift import Drift, drifts, is_same_platform
-from pytest_cpas.golden.pairing import Pairing, SharedColumn
+from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn
 from pytest_cpas.golden.rankings import ranking_changes
 from pytest_cpas.golden.tables import RunTable
 from pytest_cpas.golden.words import Word
@@ -34,7 +36,16 @@ class Exact:
 
     def verdict(self, pairing: Pairing, notes: Sequence[str]) -> Verdict:
         """The verdict on a category."""
-        changes = [(flips, column) for column in self.columns if (flips := pairing.flips(column))]
+        flipped = [(flips, column) for column in self.columns if (flips := pairing.flips(column))]
+        ties: list[tuple[Flips, SharedColumn]] = []
+        changes = flipped
+        if not self._is_same_platform(pairing.category):
+            real = [(pairing.without_ties(column, flips), column) for flips, column in flipped]
+            changes = [(flips, column) for flips, column in real if flips]
+            ties = [
+                (_difference(every, flips), column)
+                for (every, column), (flips, _) in zip(flipped, real, strict=True)
+            ]
         changes.sort(key=lambda change: change[0].net)  # what fell most stands first
         lines = [line for flips, column in changes for line in pairing.told(column, flips)]
         rankings = list(ranking_changes(self.golden, self.new, pairing.category))
@@ -48,7 +59,11 @@ class Exact:
         moved = list(drifts(pairing, self.columns, self._facts, self.new.scenes))
         drift = [f"note: {each.told()}" for each in moved]
         if not lines:
-            return self._drifted(pairing, moved, notes) or _unchanged(pairing, drift)
+            return (
+                self._drifted(pairing, moved, notes)
+                or self._borderline(pairing, ties, [*drift, *notes])
+                or _unchanged(pairing, drift)
+            )
         worse = [flips.net for flips, _ in changes] + [change.gain for change in rankings]
         if worse and min(worse) < 0:
             return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *drift, *notes]))
@@ -59,6 +74,44 @@ class Exact:
         )
         word = Word.IMPROVED if only_gains else Word.CHANGED
         return to_record(word, pairing, [*lines, *drift], notes)
+
+    def _is_same_platform(self, category: str) -> bool:
+        """Whether facts may differ by nothing: a deterministic method where it was recorded."""
+        return all(
+            table.provenance_of(category).get("deterministic") != "no"
+            for table in (self.golden, self.new)
+        ) and is_same_platform(self.golden, self.new, category)
+
+    def _borderline(
+        self,
+        pairing: Pairing,
+        ties: Sequence[tuple[Flips, SharedColumn]],
+        notes: Sequence[str],
+    ) -> Verdict | None:
+        """The verdict on flips of facts that hardly moved; None without any."""
+        lost = {name for flips, _ in ties for name in flips.lost}
+        gained = {name for flips, _ in ties for name in flips.gained} - lost
+        if not lost and not gained:
+            return None
+        head = (
+            f"{len(lost)} samples lost and {len(gained)} gained on another platform, by facts that"
+            f" moved by less than {SAME:g} of themselves across a threshold:"
+        )
+        lines = [
+            head,
+            *(
+                f"    {line}"
+                for flips, column in ties
+                if flips
+                for line in pairing.told(column, flips)
+            ),
+        ]
+        # as a fair coin falls
+        p = float(bdtr(len(gained), len(lost) + len(gained), 0.5))
+        if p < self.level:
+            lines.append(f"so many of them worse are improbable on either platform: p = {p:.1g}")
+            return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *notes]))
+        return Verdict(Word.BORDERLINE, pairing.category, "\n  ".join([*lines, *notes]))
 
     def drifted(self, pairing: Pairing, notes: Sequence[str]) -> Verdict | None:
         """The verdict on the facts of all samples together; None if they may have moved so."""
@@ -77,11 +130,7 @@ class Exact:
         """The verdict on facts that moved although nothing flipped; None if they may have."""
         if not moved:
             return None
-        deterministic = all(
-            table.provenance_of(pairing.category).get("deterministic") != "no"
-            for table in (self.golden, self.new)
-        )
-        if deterministic and is_same_platform(self.golden, self.new, pairing.category):
+        if self._is_same_platform(pairing.category):
             head = (
                 "nothing flipped, but on the platform of the recording facts moved by more than"
                 f" {SAME:g} of themselves:"
@@ -105,6 +154,16 @@ class Exact:
         if told[Word.IMPROVED]:
             return to_record(Word.IMPROVED, pairing, lines, notes)
         return None
+
+
+def _difference(every: Flips, real: Flips) -> Flips:
+    """The flips of ``every`` that are none of the ``real`` ones."""
+    return replace(
+        every,
+        lost=[name for name in every.lost if name not in real.lost],
+        gained=[name for name in every.gained if name not in real.gained],
+        not_applicable=[],
+    )
 
 
 def to_record(word: Word, pairing: Pairing, lines: Sequence[str], notes: Sequence[str]) -> Verdict:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from pytest_cpas.golden.tables import RunTable, TableSample
@@ -100,6 +100,22 @@ class Pairing:
             lost=names["10"],
             gained=names["01"],
             not_applicable=names["-"],
+        )
+
+    def without_ties(self, shared: SharedColumn, flips: Flips) -> Flips:
+        """The flips of samples of which a fact moved by more than its tolerance."""
+
+        def moved(name: str) -> bool:
+            old, new = self.old[name].facts, self.new[name].facts
+            pairs = [(made, old[made.name], new[made.name]) for made in shared.column.facts]
+            return not all(
+                a is not None and b is not None and made.is_close(a, b) for made, a, b in pairs
+            )
+
+        return replace(
+            flips,
+            lost=list(filter(moved, flips.lost)),
+            gained=list(filter(moved, flips.gained)),
         )
 
     def told(self, shared: SharedColumn, flips: Flips, remark: str = "") -> list[str]:

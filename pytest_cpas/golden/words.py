@@ -18,6 +18,9 @@ class Word(VerdictWord):
     AGREES = "AGREES WITH THE PAPER", "passed"
     #: The same, and an interval lies above what the paper prints.
     ABOVE = "ABOVE THE PAPER", "passed"
+    #: On another platform than that of the recording: samples flipped, but only where facts that
+    #: moved by less than the tolerance lie on a threshold, and about as often either way.
+    BORDERLINE = "BORDERLINE", "passed"
     #: At some threshold more samples were lost than gained; they are named with their errors.
     #: Against the paper: an interval lies below what it prints.
     REGRESSED = "REGRESSED", "failed"

@@ -133,6 +133,38 @@ def test_a_flip_stays_what_it_is_and_names_the_drift():
     assert "note: rotation_deg moved in" in mug.details
 
 
+def on_a_threshold(machine, **added) -> RunTable:
+    """Every mug has 5 degrees but for what is added, in units of 1e-4 degrees."""
+    exact = {name: 5.0 - GOLDEN.samples[name].facts["rotation_deg"] for name in MUGS}
+    moves = {name: exact[name] + 1e-4 * added.get(name.replace("/", "_"), 0) for name in MUGS}
+    return table(machine, rotation_deg=moves)
+
+
+def test_flips_of_what_lies_on_a_threshold_are_borderline_elsewhere():
+    signs = {name.replace("/", "_"): (-1) ** i for i, name in enumerate(MUGS)}
+    golden = on_a_threshold("here", **signs)
+    new = on_a_threshold("there", **{name: -sign for name, sign in signs.items()})
+    (mug,) = [v for v in compare(golden, new) if v.category == "mug"]
+    assert (mug.word, mug.passed) == (Word.BORDERLINE, True)
+    assert "30 samples lost and 30 gained on another platform" in mug.details
+    # where it was recorded, a flip is a flip
+    again = on_a_threshold("here", **{name: -sign for name, sign in signs.items()})
+    assert words(compare(golden, again))["mug"] is Word.CHANGED
+
+
+def test_more_of_them_worse_than_chance_is_a_regression():
+    golden = on_a_threshold("here", **dict.fromkeys([n.replace("/", "_") for n in MUGS], -1))
+    new = on_a_threshold("there", **dict.fromkeys([n.replace("/", "_") for n in MUGS], 1))
+    (mug,) = [v for v in compare(golden, new) if v.category == "mug"]
+    assert mug.word is Word.REGRESSED
+    assert "improbable on either platform" in mug.details
+
+
+def test_a_real_flip_is_none_of_the_borderline():
+    new = table("there", rotation_deg={MUGS[0]: 2.0})
+    assert words(compare(GOLDEN, new))["mug"] is Word.REGRESSED
+
+
 def test_tails_are_those_of_all_signs():
     rng = np.random.default_rng(2)
     for _ in range(50):
