@@ -47,7 +47,7 @@ class Exact:
                 for (every, column), (flips, _) in zip(flipped, real, strict=True)
             ]
         changes.sort(key=lambda change: change[0].net)  # what fell most stands first
-        lines = [line for flips, column in changes for line in pairing.told(column, flips)]
+        lines = _told_once(pairing, changes)
         rankings = list(ranking_changes(self.golden, self.new, pairing.category))
         lines += [line for change in rankings for line in change.lines]
         lines += pairing.other_samples
@@ -99,12 +99,7 @@ class Exact:
         )
         lines = [
             head,
-            *(
-                f"    {line}"
-                for flips, column in ties
-                if flips
-                for line in pairing.told(column, flips)
-            ),
+            *(f"    {line}" for line in _told_once(pairing, [tie for tie in ties if tie[0]])),
         ]
         # as a fair coin falls
         p = float(bdtr(len(gained), len(lost) + len(gained), 0.5))
@@ -154,6 +149,17 @@ class Exact:
         if told[Word.IMPROVED]:
             return to_record(Word.IMPROVED, pairing, lines, notes)
         return None
+
+
+def _told_once(pairing: Pairing, changes: Sequence[tuple[Flips, SharedColumn]]) -> list[str]:
+    """The flips of columns in words; samples that flipped in several are named once."""
+    alike: dict[tuple[tuple[str, ...], ...], list[list[str]]] = {}
+    for flips, column in changes:
+        names = tuple(flips.lost), tuple(flips.gained), tuple(flips.not_applicable)
+        alike.setdefault(names, []).append(pairing.told(column, flips))
+    return [
+        line for told in alike.values() for line in (*(head for head, *_ in told), *told[0][1:])
+    ]
 
 
 def _difference(every: Flips, real: Flips) -> Flips:

@@ -212,7 +212,7 @@ def test_one_flip_in_16118_is_caught(large):
     (verdict,) = compare(golden, RunTable.of(run, changed))
     assert verdict.word is Word.REGRESSED
     assert f"lost: s/{index:05d} (" in verdict.details
-    assert verdict.details.count("s/") == 3  # in three columns, no other sample
+    assert verdict.details.count("s/") == 1  # in three columns, no other sample
 
 
 def test_part_shows_a_change_of_the_size_that_it_states(large):
