@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from pytest_cpas.metrics.model_points import ModelPoints
 from pytest_cpas.metrics.surfaces import Surface, SurfaceErrors, surface_errors
 from pytest_cpas.types import (
     AnswerError,
     Array,
+    Camera,
     DataError,
     GroundTruth,
     Hypothesis,
     Mesh,
+    Pose,
     Symmetry,
     raised_as,
 )
@@ -26,19 +29,24 @@ __all__ = ["AnswerBatch", "declared_part"]
 #: A box as three arrays: rotation (n, 3, 3), translation (n, 3) and extents (n, 3), metres.
 Boxes = tuple[Array, Array, Array]
 
+#: A distance, metres, of an estimated and a true pose of a model.
+ModelDistance = Callable[[Pose, Pose, ModelPoints], float]
+
 
 @dataclass(frozen=True, eq=False)
 class AnswerBatch:
     """n answers, in the standard frames, and the truth about each.
 
-    All truths have one ``symmetry``, and one ``symmetry_in_view``. What several facts need is
-    computed once, when it is first asked for.
+    All truths have one ``symmetry``, and one ``symmetry_in_view``. ``cameras``: of each image, None
+    where it is not known. What several facts need is computed once, when it is first asked for.
     """
 
     truths: Sequence[GroundTruth]
     estimates: Sequence[Hypothesis]
     symmetry: Symmetry
     symmetry_in_view: Symmetry
+    cameras: Sequence[Camera | None]
+    _distances: dict[ModelDistance, list[float | None]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.truths)
@@ -86,6 +94,28 @@ class AnswerBatch:
             for truth, estimate in zip(self.truths, self.estimates, strict=True)
         ]
 
+    @functools.cached_property
+    def models(self) -> Sequence[ModelPoints | None]:
+        """The points of the true shapes; None where the data set has none.
+
+        Raises :class:`DataError` for one whose points all coincide.
+        """
+        return [None if t.surface is None else _model(_Same(t.surface)) for t in self.truths]
+
+    def of_models(self, distance: ModelDistance) -> Sequence[float | None]:
+        """A distance of the estimated and the true pose of every model; None where there is none.
+
+        A function is asked once, whichever facts want it.
+        """
+        if distance not in self._distances:
+            self._distances[distance] = [
+                None if model is None else distance(estimate.pose, truth.pose, model)
+                for truth, estimate, model in zip(
+                    self.truths, self.estimates, self.models, strict=True
+                )
+            ]
+        return self._distances[distance]
+
     def of_surfaces(self, fact: Callable[[SurfaceErrors], float]) -> Sequence[float | None]:
         """A fact of every pair of surfaces; None where there is none."""
         return [None if errors is None else float(fact(errors)) for errors in self.surfaces]
@@ -129,3 +159,11 @@ class _Same:
 @functools.lru_cache(maxsize=256)
 def _truth_surface(same: _Same) -> Surface:
     return Surface.of(same.surface, seed=0)
+
+
+@functools.lru_cache(maxsize=256)
+@raised_as(DataError)
+def _model(same: _Same) -> ModelPoints:
+    model = ModelPoints.of(same.surface)
+    _ = model.diameter  # which all facts but one need
+    return model

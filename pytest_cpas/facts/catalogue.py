@@ -3,83 +3,21 @@
 from __future__ import annotations
 
 import functools
-import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_cpas.facts.answers import AnswerBatch
+from pytest_cpas.facts.fact import Fact, FactError, Known, Part
+from pytest_cpas.facts.known_objects import KNOWN_OBJECTS
 from pytest_cpas.metrics.boxes import axis_aligned_box_iou, nocs_legacy_iou, symmetric_iou
 from pytest_cpas.metrics.definitions import definition
 from pytest_cpas.metrics.pose import rotation_error, translation_error
 from pytest_cpas.metrics.surfaces import SAMPLE_COUNT
-from pytest_cpas.types import Array, ContractError
+from pytest_cpas.types import Array
 
-__all__ = ["SAME", "Fact", "FactError", "Facts", "all_facts", "fact", "in_order"]
-
-#: The facts of one answer by name; None is n/a.
-Facts: TypeAlias = Mapping[str, float | None]
-
-#: What a method must give for a fact to be known.
-Part: TypeAlias = Literal["extents", "shape"]
-
-
-#: Values of a fact that differ by a smaller share are the same for people.
-SAME = 1e-3
-
-
-class FactError(ContractError):
-    """A name that no fact has."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fact:
-    """A number about one answer.
-
-    ``definition``: the id of what it means; ``unit``: "m", "deg" or "" (none); ``better``: which
-    direction is the better one; ``needs``: what a method must give for it; ``pattern``: a limit on
-    it for people, of which ``factor`` times the limit is shown; ``compute``: of the answers of a
-    batch, None where it is n/a.
-    """
-
-    name: str
-    definition: str
-    unit: Literal["m", "deg", ""]
-    better: Literal["lower", "higher"]
-    pattern: str
-    compute: Callable[[AnswerBatch], Sequence[float | None]]
-    needs: frozenset[Part] = frozenset()
-    factor: float = 1.0
-
-    @property
-    def failed(self) -> float:
-        """Of a sample without an answer: it meets no limit."""
-        return -math.inf if self.better == "higher" else math.inf
-
-    def is_close(self, one: float, other: float) -> bool:
-        """Whether two values differ by no more than :data:`SAME` of themselves, or by what nobody
-        looks at: a micrometre, 1e-4 degrees, 1e-5 of what has no unit."""
-        finest = {"m": 1e-6, "deg": 1e-4, "": 1e-5}[self.unit]
-        return math.isclose(one, other, rel_tol=SAME, abs_tol=finest)
-
-    @property
-    def most(self) -> float:
-        """The largest value that there is."""
-        if self.unit == "deg":
-            return 180.0
-        return 1.0 if self.better == "higher" else math.inf
-
-    def limit_label(self, limit: float) -> str:
-        """A limit for people: ``10 deg``, ``2 cm``, ``IoU 0.5``."""
-        return self.pattern.format(f"{self.factor * limit:.10g}")
-
-    def meets(self, values: Array, limit: float) -> NDArray[np.bool_]:
-        """Which values are on the better side of a limit, or on it; NaN is not."""
-        return values >= limit if self.better == "higher" else values <= limit
+__all__ = ["all_facts", "fact", "in_order"]
 
 
 def fact(name: str) -> Fact:
@@ -122,7 +60,8 @@ def _fscore(name: str, distance: int, unit: str) -> Fact:
         "higher",
         told + " {}",
         lambda batch: batch.of_surfaces(lambda errors: float(errors.fscore(metres))),
-        frozenset({"shape"}),
+        _SHAPE,
+        _TRUE_SHAPE,
     )
 
 
@@ -175,6 +114,7 @@ def _of_surface(name: str, variant: str) -> str:
 
 _BOX: frozenset[Part] = frozenset({"extents"})
 _SHAPE: frozenset[Part] = frozenset({"shape"})
+_TRUE_SHAPE: frozenset[Known] = frozenset({"shape"})
 
 _FACTS: Mapping[str, Fact] = {
     made.name: made
@@ -248,6 +188,7 @@ _FACTS: Mapping[str, Fact] = {
             "NAD {}",
             lambda batch: batch.of_surfaces(lambda errors: errors.nad),
             _SHAPE,
+            _TRUE_SHAPE,
         ),
         Fact(
             "cd_m",
@@ -257,6 +198,7 @@ _FACTS: Mapping[str, Fact] = {
             "CD {} mm",
             lambda batch: batch.of_surfaces(lambda errors: errors.chamfer),
             _SHAPE,
+            _TRUE_SHAPE,
             factor=1000,
         ),
         Fact(
@@ -267,6 +209,7 @@ _FACTS: Mapping[str, Fact] = {
             "AD(S->S~) {} mm",
             lambda batch: batch.of_surfaces(lambda errors: errors.ad_truth_to_estimate),
             _SHAPE,
+            _TRUE_SHAPE,
             factor=1000,
         ),
         Fact(
@@ -277,7 +220,9 @@ _FACTS: Mapping[str, Fact] = {
             "AD(S~->S) {} mm",
             lambda batch: batch.of_surfaces(lambda errors: errors.ad_estimate_to_truth),
             _SHAPE,
+            _TRUE_SHAPE,
             factor=1000,
         ),
+        *KNOWN_OBJECTS,
     )
 }

@@ -22,6 +22,8 @@ __all__ = ["DEFINITIONS", "Definition", "definition", "require_same_definition"]
 PAPER = "Bruns & Jensfelt 2023"
 NOCS = "Wang et al. 2019 (NOCS), published evaluation code"
 OMNI6DPOSE = "Zhang et al. 2024 (Omni6DPose)"
+HINTERSTOISSER = "Hinterstoisser et al. 2012"
+BOP = "Hodan et al. 2020 (BOP Challenge), bop_toolkit"
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Definition:
     name: str
     variant: str
     version: int
-    unit: Literal["deg", "m", ""]
+    unit: Literal["deg", "m", "px", ""]
     better: Literal["lower", "higher", "neither"]
     source: str
     parameters: tuple[str, ...] = ()
@@ -83,6 +85,14 @@ DEFINITIONS: Mapping[tuple[str, str], Definition] = MappingProxyType(
             Definition("surface_recall", "strict", 1, "", "higher", PAPER, ("delta_m", *_SHAPE)),
             Definition("surface_precision", "strict", 1, "", "higher", PAPER, ("delta_m", *_SHAPE)),
             Definition("fscore", "strict", 1, "", "higher", PAPER, ("delta_m", *_SHAPE)),
+            Definition("add", "same-points", 1, "m", "lower", HINTERSTOISSER),
+            Definition("add", "nearest-points", 1, "m", "lower", HINTERSTOISSER),
+            Definition("add", "by-symmetry", 1, "m", "lower", HINTERSTOISSER),
+            Definition("add_relative", "same-points", 1, "", "lower", HINTERSTOISSER),
+            Definition("add_relative", "nearest-points", 1, "", "lower", HINTERSTOISSER),
+            Definition("add_relative", "by-symmetry", 1, "", "lower", HINTERSTOISSER),
+            Definition("mssd", "relative-to-diameter", 1, "", "lower", BOP, ("spins",)),
+            Definition("mspd", "of-width-640", 1, "px", "lower", BOP, ("spins",)),
             Definition("precision", "joint", 1, "", "higher", PAPER, ("limits",)),
             Definition("precision", "best-hypothesis", 1, "", "higher", PAPER, ("limits",)),
             Definition("precision", "worst-hypothesis", 1, "", "higher", PAPER, ("limits",)),

@@ -41,8 +41,9 @@ def _lacking(table: RunTable, made: Fact, columns: Sequence[Column]) -> str:
             f"{keys} {verb} the fact {made.name}, which these rows do not have: run again with"
             f" {again}"
         )
-    parts = " and ".join(sorted(made.needs)) or "pose"
-    return f"{keys} {verb} the fact {made.name}: the method, or the data set, has no {parts}"
+    who = "the method, or the data set," if made.needs else "the data set"
+    parts = " and no ".join(sorted(made.needs | made.knows)) or "pose"
+    return f"{keys} {verb} the fact {made.name}: {who} has no {parts}"
 
 
 def _named(columns: Sequence[Column]) -> str:
