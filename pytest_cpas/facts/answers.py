@@ -83,6 +83,11 @@ class AnswerBatch:
         return estimated, true
 
     @functools.cached_property
+    def boxes_of_unit_diagonal(self) -> tuple[Boxes, Boxes]:
+        """The same boxes, each scaled about the camera until its diagonal is 1."""
+        return _unit_diagonal(self.boxes[0]), _unit_diagonal(self.boxes[1])
+
+    @functools.cached_property
     def surfaces(self) -> Sequence[SurfaceErrors | None]:
         """The posed surfaces side by side; None where the data set has no true one.
 
@@ -119,6 +124,12 @@ class AnswerBatch:
     def of_surfaces(self, fact: Callable[[SurfaceErrors], float]) -> Sequence[float | None]:
         """A fact of every pair of surfaces; None where there is none."""
         return [None if errors is None else float(fact(errors)) for errors in self.surfaces]
+
+
+def _unit_diagonal(boxes: Boxes) -> Boxes:
+    rotation, translation, extents = boxes
+    diagonal = np.linalg.norm(extents, axis=-1, keepdims=True)
+    return rotation, translation / diagonal, extents / diagonal
 
 
 def declared_part(value: Any, part: str) -> Any:

@@ -81,6 +81,18 @@ def _iou(batch: AnswerBatch) -> Sequence[float]:
     return ious
 
 
+def _scaled_position(batch: AnswerBatch) -> Sequence[float]:
+    estimated, true = batch.boxes_of_unit_diagonal
+    errors: list[float] = translation_error(estimated[1], true[1]).tolist()
+    return errors
+
+
+def _scaled_iou(batch: AnswerBatch) -> Sequence[float]:
+    estimated, true = batch.boxes_of_unit_diagonal
+    ious: list[float] = symmetric_iou(*estimated, *true, batch.symmetry).tolist()
+    return ious
+
+
 def _rotation_in_view(batch: AnswerBatch) -> Sequence[float]:
     angles = rotation_error(*batch.rotations, batch.symmetry_in_view)
     errors: list[float] = np.degrees(angles).tolist()
@@ -222,6 +234,25 @@ _FACTS: Mapping[str, Fact] = {
             _SHAPE,
             _TRUE_SHAPE,
             factor=1000,
+        ),
+        Fact(
+            "position_relative",
+            definition("translation_error", "own-diagonals").id(),
+            "",
+            "lower",
+            "{} %",
+            _scaled_position,
+            _BOX,
+            factor=100,
+        ),
+        Fact(
+            "iou_equal_diagonals",
+            definition("iou", "equal-diagonals").id(),
+            "",
+            "higher",
+            "NIoU {}",
+            _scaled_iou,
+            _BOX,
         ),
         *KNOWN_OBJECTS,
     )

@@ -23,6 +23,7 @@ PAPER = "Bruns & Jensfelt 2023"
 NOCS = "Wang et al. 2019 (NOCS), published evaluation code"
 OMNI6DPOSE = "Zhang et al. 2024 (Omni6DPose)"
 HINTERSTOISSER = "Hinterstoisser et al. 2012"
+LAPOSE = "Zhang et al. 2024 (LaPose), published evaluation code"
 BOP = "Hodan et al. 2020 (BOP Challenge), bop_toolkit"
 
 
@@ -69,10 +70,14 @@ DEFINITIONS: Mapping[tuple[str, str], Definition] = MappingProxyType(
             Definition("rotation_error", "symmetry-group", 1, "deg", "lower", PAPER),
             Definition("rotation_error", "symmetry-in-view", 1, "deg", "lower", NOCS),
             Definition("translation_error", "euclidean", 1, "m", "lower", PAPER),
+            Definition("translation_error", "own-diagonals", 1, "", "lower", LAPOSE),
             Definition("iou", "oriented", 1, "", "higher", PAPER),
             Definition("iou", "oriented-symmetric", 1, "", "higher", PAPER),
             Definition(
                 "iou", "oriented-symmetric-in-view", 1, "", "higher", PAPER + ", symmetry of NOCS"
+            ),
+            Definition(
+                "iou", "equal-diagonals", 1, "", "higher", LAPOSE + ", IoU of the oriented boxes"
             ),
             Definition("iou", "axis-aligned-boxes", 1, "", "higher", NOCS + ", repaired"),
             Definition("iou", "nocs-legacy", 1, "", "higher", NOCS),

@@ -77,6 +77,12 @@ def alone(truth: GroundTruth, answer: Hypothesis) -> dict[str, float | None]:
         "iou_axis_aligned": axis_aligned_box_iou(*estimated, *true, spins=spins),
         "iou_legacy": nocs_legacy_iou(*estimated, *true, spins=spins),
     }
+    # by another way: the estimate is scaled about the camera until its diagonal is the true one
+    scale = np.linalg.norm(truth.extents) / np.linalg.norm(answer.extents)
+    scaled = answer.rotation, scale * answer.translation, scale * answer.extents
+    gap = np.linalg.norm(scaled[1] - truth.pose.translation)
+    facts["position_relative"] = gap / np.linalg.norm(truth.extents)
+    facts["iou_equal_diagonals"] = symmetric_iou(*scaled, *true, truth.symmetry)
     if truth.surface is None:
         return {name: float(facts[name]) if name in facts else None for name in NAMES}
     errors = surface_errors(
@@ -122,6 +128,38 @@ def test_facts_are_the_metrics_of_their_names():
         assert list(facts) == NAMES
         for name, value in facts.items():
             assert value == (None if expected[name] is None else pytest.approx(expected[name]))
+
+
+def test_scale_agnostic_facts_do_not_know_the_scale():
+    """A scene that is thrice as large, and thrice as far, looks the same."""
+    rng = np.random.default_rng(7)
+    truth = a_truth(rng)
+    answer = an_answer(rng, truth)
+    larger = Hypothesis(
+        rotation=answer.rotation,
+        translation=3 * answer.translation,
+        extents=3 * np.asarray(answer.extents),
+    )
+    names = ["position_relative", "iou_equal_diagonals", "iou"]
+    one, other = measure_facts(names, [truth, truth], [answer, larger], {"extents"})
+    assert one["iou"] != other["iou"]
+    for name in names[:2]:
+        assert one[name] == pytest.approx(other[name])
+    (perfect,) = measure_facts(
+        names,
+        [truth],
+        [
+            Hypothesis(
+                rotation=truth.pose.rotation,
+                translation=0.5 * truth.pose.translation,
+                extents=0.5 * truth.extents,
+            )
+        ],
+        {"extents"},
+    )
+    assert perfect["position_relative"] == pytest.approx(0, abs=1e-12)
+    assert perfect["iou_equal_diagonals"] == pytest.approx(1)
+    assert perfect["iou"] < 0.2
 
 
 def test_what_is_not_given_is_not_known():
