@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pytest_cpas.metrics.model_points import ModelPoints
 from pytest_cpas.metrics.surfaces import Surface, SurfaceErrors, surface_errors
@@ -38,7 +39,8 @@ class AnswerBatch:
     """n answers, in the standard frames, and the truth about each.
 
     All truths have one ``symmetry``, and one ``symmetry_in_view``. ``cameras``: of each image, None
-    where it is not known. What several facts need is computed once, when it is first asked for.
+    where it is not known. ``others``: further hypotheses of each answer. What several facts need is
+    computed once, when it is first asked for.
     """
 
     truths: Sequence[GroundTruth]
@@ -46,10 +48,29 @@ class AnswerBatch:
     symmetry: Symmetry
     symmetry_in_view: Symmetry
     cameras: Sequence[Camera | None]
+    others: Sequence[Sequence[Hypothesis]]
     _distances: dict[ModelDistance, list[float | None]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.truths)
+
+    @functools.cached_property
+    def hypotheses(self) -> tuple[AnswerBatch, NDArray[np.int64]]:
+        """All hypotheses, those of an answer one after the other, as answers of their own; and at
+        which of them each answer begins, (n,)."""
+        each = [(h, *more) for h, more in zip(self.estimates, self.others, strict=True)]
+        counts = [len(several) for several in each]
+        flat = replace(
+            self,
+            truths=[t for t, count in zip(self.truths, counts, strict=True) for _ in range(count)],
+            estimates=[hypothesis for several in each for hypothesis in several],
+            cameras=[
+                c for c, count in zip(self.cameras, counts, strict=True) for _ in range(count)
+            ],
+            others=[()] * sum(counts),
+            _distances={},
+        )
+        return flat, np.cumsum(counts, dtype=np.int64) - counts
 
     @functools.cached_property
     def rotations(self) -> tuple[Array, Array]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Literal, cast
 
 import numpy as np
 
 from pytest_cpas.facts.answers import AnswerBatch
 from pytest_cpas.facts.fact import Fact, FactError, Known, Part
+from pytest_cpas.facts.hypotheses import joint_margin
 from pytest_cpas.facts.known_objects import KNOWN_OBJECTS
 from pytest_cpas.metrics.boxes import axis_aligned_box_iou, nocs_legacy_iou, symmetric_iou
 from pytest_cpas.metrics.definitions import definition
@@ -23,15 +25,20 @@ __all__ = ["all_facts", "fact", "in_order"]
 def fact(name: str) -> Fact:
     """The fact of a name; F-scores are called ``fscore_1cm``, ``fscore_5mm``, at any distance.
 
+    What the best and the worst hypothesis are at joint limits is called ``best_10deg_2cm``,
+    ``worst_5deg_1cm_f80``: degrees, a distance, and a percentage of F at 1 cm if it is limited.
     Raises :class:`FactError` that lists the names.
     """
     if name in _FACTS:
         return _FACTS[name]
     if match := re.fullmatch(r"fscore_([1-9]\d{0,3})(mm|cm)", name):
         return _fscore(name, int(match[1]), match[2])
+    if match := re.fullmatch(_JOINT, name):
+        which = cast(Literal["best", "worst"], match[1])
+        return _joint(name, which, match[2], match[3], match[4], match[5])
     raise FactError(
-        f"there is no fact {name!r}; expected one of {', '.join(_FACTS)}, or fscore_ and a distance"
-        " in whole mm or cm, such as fscore_1cm"
+        f"there is no fact {name[:40]!r}; expected one of {', '.join(_FACTS)}, or one with its"
+        " limits, such as fscore_1cm, fscore_5mm, best_10deg_2cm or worst_5deg_1cm_f80"
     )
 
 
@@ -43,7 +50,8 @@ def all_facts() -> list[Fact]:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Names of facts, each once, in the order of :func:`all_facts`; other F-scores come last."""
+    """Names of facts, each once, in the order of :func:`all_facts`; those that have limits in their
+    names come last."""
     known, given = [made.name for made in all_facts()], set(names)
     return [name for name in known if name in given] + sorted(given.difference(known))
 
@@ -63,6 +71,29 @@ def _fscore(name: str, distance: int, unit: str) -> Fact:
         _SHAPE,
         _TRUE_SHAPE,
     )
+
+
+#: Best or worst; degrees, up to 180; a distance; a percentage, up to 100.
+_JOINT = r"(best|worst)_([1-9]\d?|1[0-7]\d|180)deg_([1-9]\d{0,3})(mm|cm)(?:_f([1-9]\d?|100))?"
+
+
+@functools.cache
+def _joint(
+    name: str,
+    which: Literal["best", "worst"],
+    degrees: str,
+    distance: str,
+    unit: str,
+    f: str | None,
+) -> Fact:
+    conditions = [
+        (fact("rotation_deg"), float(degrees)),
+        (fact("position_m"), int(distance) / {"mm": 1000, "cm": 100}[unit]),
+    ]
+    if f is not None:
+        conditions.append((fact("fscore_1cm"), int(f) / 100))
+    limits = ";".join(made.limit_label(limit).replace(" ", "") for made, limit in conditions)
+    return joint_margin(name, which, limits, conditions)
 
 
 def _rotation(batch: AnswerBatch) -> Sequence[float]:

@@ -40,7 +40,8 @@ class Fact:
     ``definition``: the id of what it means; ``unit``: "m", "deg", "px" or "" (none); ``better``:
     which direction is the better one; ``needs``: what a method must give for it; ``knows``: what
     the data set must know; ``pattern``: a limit on it for people, of which ``factor`` times the
-    limit is shown; ``compute``: of the answers of a batch, None where it is n/a.
+    limit is shown; ``compute``: of the answers of a batch, None where it is n/a; ``of_all``: it is
+    about all hypotheses of an answer, not about the first alone.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Fact:
     needs: frozenset[Part] = frozenset()
     knows: frozenset[Known] = frozenset()
     factor: float = 1.0
+    of_all: bool = False
 
     @property
     def failed(self) -> float:

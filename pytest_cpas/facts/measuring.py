@@ -19,11 +19,12 @@ def measure_facts(
     estimates: Sequence[Hypothesis],
     gives: Collection[str],
     cameras: Sequence[Camera | None] | None = None,
+    others: Sequence[Sequence[Hypothesis]] | None = None,
 ) -> list[dict[str, float | None]]:
     """The facts of those ``names`` of every estimate, which is in the standard frames.
 
     ``gives``: what the method declares to give; a fact that needs more is None. ``cameras``: of
-    each image, None where it is not known. Raises
+    each image, None where it is not known; ``others``: further hypotheses of each answer. Raises
     :class:`pytest_cpas.types.AnswerError` for an estimate that lacks what is declared, or that has
     a surface without area; :class:`pytest_cpas.types.DataError` for such a truth.
     """
@@ -38,6 +39,7 @@ def measure_facts(
             [estimates[i] for i in members],
             *symmetries,
             cameras=[cameras[i] if cameras else None for i in members],
+            others=[others[i] if others else () for i in members],
         )
         for made in wanted:
             for i, value in zip(members, made.compute(batch), strict=True):

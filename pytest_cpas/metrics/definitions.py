@@ -101,6 +101,8 @@ DEFINITIONS: Mapping[tuple[str, str], Definition] = MappingProxyType(
             Definition("precision", "joint", 1, "", "higher", PAPER, ("limits",)),
             Definition("precision", "best-hypothesis", 1, "", "higher", PAPER, ("limits",)),
             Definition("precision", "worst-hypothesis", 1, "", "higher", PAPER, ("limits",)),
+            Definition("joint_margin", "best-hypothesis", 1, "", "lower", PAPER, ("limits",)),
+            Definition("joint_margin", "worst-hypothesis", 1, "", "lower", PAPER, ("limits",)),
             Definition("iou_auc", "integral", 1, "", "higher", OMNI6DPOSE, ("iou", "lower")),
             Definition(
                 "iou_auc", "midpoints", 1, "", "higher", OMNI6DPOSE, ("bins", "iou", "lower")

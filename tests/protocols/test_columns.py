@@ -162,7 +162,9 @@ def test_file_that_is_none(tmp_path):
 def test_shipped_protocols_are_sound():
     names = shipped_protocols()
     assert names[0] == PAPER == "cpas"
-    assert {"cpas", "nocs", "nocs-legacy", "bop", "omni6dpose", "omni6dpose-printed"} <= set(names)
+    assert {"cpas", "nocs", "nocs-legacy", "bop", "best-of-n", "omni6dpose"} | {
+        *("omni6dpose-printed", "scale-agnostic")
+    } <= set(names)
     for name in names:
         protocol = shipped_protocol(name)
         assert protocol.name == name
