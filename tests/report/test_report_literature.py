@@ -124,7 +124,7 @@ def test_nearest_by_the_mean_difference_of_what_both_have():
         labels = {"a": "nocs-legacy: AP IoU 50", "b": "nocs-legacy: AP IoU 75"}
         return {"method": name, "percent": {labels[k]: value for k, value in percent.items()}}
 
-    far, near, nothing = line("far", a=50, b=62), line("near", b=55), line("nothing")
+    far, near, nothing = line("far", a=50, b=10), line("near", b=60), line("nothing")
     assert [row["method"] for row in nearest(run, [nothing, far, near], 5)] == ["near", "far"]
     assert nearest(run, [far, near], 1) == [near]
 
