@@ -1,7 +1,7 @@
 """Average precision as the literature prints it, to be looked at: no verdict is made of it.
 
-It is rounded, of the detections of each paper, and by an "IoU" that is none; ``golden/published/README.md``
-says where each figure was read.
+It is rounded, of the detections of each paper, and by an "IoU" that is none;
+``golden/published/README.md`` says what it is, and the file where each figure was read.
 """
 
 from __future__ import annotations
