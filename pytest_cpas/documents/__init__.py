@@ -14,6 +14,7 @@ from pytest_cpas.documents.counts import (
     CountDocument,
     CurveName,
     CurvesDocument,
+    LiteratureDocument,
     PointDocument,
     PrecisionDocument,
     PublishedCountDocument,
@@ -67,6 +68,7 @@ __all__ = [
     "FlipDocument",
     "IntervalDocument",
     "ItemOutcome",
+    "LiteratureDocument",
     "MachineDocument",
     "MeasuredSpeedDocument",
     "MemoryDocument",
@@ -119,6 +121,10 @@ class Document(TypedDict):
         dict[str, dict[str, PublishedMethodDocument]],
         "By data set and method: the tables of the paper; empty unless a run is on one of its data"
         " sets.",
+    ]
+    literature: Annotated[
+        NotRequired[dict[str, list[LiteratureDocument]]],
+        "Only under the protocol nocs-legacy: by data set, what the literature prints of it.",
     ]
     against: Annotated[
         NotRequired[AgainstDocument],

@@ -43,3 +43,4 @@ NotNegative = Annotated[float, Allowed(minimum=0)]
 AboveZero = Annotated[float, Allowed(above=0)]
 
 Share = Annotated[float, Allowed(minimum=0, maximum=1)]
+Percent = Annotated[float, Allowed(minimum=0, maximum=100)]

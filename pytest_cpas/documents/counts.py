@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, TypedDict
 
-from pytest_cpas.documents._allowed import AboveZero, Natural, NotNegative, Positive
+from pytest_cpas.documents._allowed import AboveZero, Natural, NotNegative, Percent, Positive
 
 #: What the threshold of a curve is on.
 CurveName = Literal["position_m", "rotation_deg", "fscore_1cm"]
@@ -60,6 +60,22 @@ class PublishedPrecisionDocument(TypedDict):
     category: str
     threshold: str
     published: PublishedCountDocument
+
+
+class LiteratureDocument(TypedDict):
+    """What is printed of a method as average precision: to look at, no verdict is made of it.
+
+    From ``golden/published/average_precision.csv``.
+    """
+
+    method: str
+    paper: Annotated[str, "Where the method is from."]
+    read_in: Annotated[str, "Where the figures were read."]
+    also_in: Annotated[str, "Where they stand too; empty if nowhere was found."]
+    note: Annotated[str, "What differs between the places, and the like."]
+    percent: Annotated[
+        dict[str, Percent], "By the label of a column of scores; what is not printed is left out."
+    ]
 
 
 class PointDocument(TypedDict):

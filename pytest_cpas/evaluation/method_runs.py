@@ -191,7 +191,10 @@ class MethodRun(Run):
             raise SampleError(f"{where}: the method raised {error!r}") from error
         try:
             prediction = check_answers(predictions, self._method.info)
-            [answer] = measure(self.facts, [sample.truth], [prediction], self._method.info)
+            camera = sample.observation.camera
+            [answer] = measure(
+                self.facts, [sample.truth], [prediction], self._method.info, [camera]
+            )
             if not self._keeps_shapes or not prediction.hypotheses or self._is_correct(answer):
                 return answer, None
             shape = to_standard(prediction.hypotheses[0], self._method.info).shape

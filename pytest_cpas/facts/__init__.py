@@ -5,7 +5,8 @@ A fact is a number about one answer beside the truth, never a judgement: what is
 """
 
 from pytest_cpas.facts.answers import AnswerBatch, declared_part
-from pytest_cpas.facts.catalogue import SAME, Fact, FactError, Facts, all_facts, fact, in_order
+from pytest_cpas.facts.catalogue import all_facts, fact, in_order
+from pytest_cpas.facts.fact import SAME, Fact, FactError, Facts
 from pytest_cpas.facts.measuring import failed_facts, measure_facts
 from pytest_cpas.facts.pairs import Detected, PairTable, pair_table
 

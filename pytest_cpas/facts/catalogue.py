@@ -3,97 +3,42 @@
 from __future__ import annotations
 
 import functools
-import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_cpas.facts.answers import AnswerBatch
+from pytest_cpas.facts.fact import Fact, FactError, Known, Part
+from pytest_cpas.facts.hypotheses import joint_margin
+from pytest_cpas.facts.known_objects import KNOWN_OBJECTS
 from pytest_cpas.metrics.boxes import axis_aligned_box_iou, nocs_legacy_iou, symmetric_iou
 from pytest_cpas.metrics.definitions import definition
 from pytest_cpas.metrics.pose import rotation_error, translation_error
 from pytest_cpas.metrics.surfaces import SAMPLE_COUNT
-from pytest_cpas.types import Array, ContractError
+from pytest_cpas.types import Array
 
-__all__ = ["SAME", "Fact", "FactError", "Facts", "all_facts", "fact", "in_order"]
-
-#: The facts of one answer by name; None is n/a.
-Facts: TypeAlias = Mapping[str, float | None]
-
-#: What a method must give for a fact to be known.
-Part: TypeAlias = Literal["extents", "shape"]
-
-
-#: Values of a fact that differ by a smaller share are the same for people.
-SAME = 1e-3
-
-
-class FactError(ContractError):
-    """A name that no fact has."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fact:
-    """A number about one answer.
-
-    ``definition``: the id of what it means; ``unit``: "m", "deg" or "" (none); ``better``: which
-    direction is the better one; ``needs``: what a method must give for it; ``pattern``: a limit on
-    it for people, of which ``factor`` times the limit is shown; ``compute``: of the answers of a
-    batch, None where it is n/a.
-    """
-
-    name: str
-    definition: str
-    unit: Literal["m", "deg", ""]
-    better: Literal["lower", "higher"]
-    pattern: str
-    compute: Callable[[AnswerBatch], Sequence[float | None]]
-    needs: frozenset[Part] = frozenset()
-    factor: float = 1.0
-
-    @property
-    def failed(self) -> float:
-        """Of a sample without an answer: it meets no limit."""
-        return -math.inf if self.better == "higher" else math.inf
-
-    def is_close(self, one: float, other: float) -> bool:
-        """Whether two values differ by no more than :data:`SAME` of themselves, or by what nobody
-        looks at: a micrometre, 1e-4 degrees, 1e-5 of what has no unit."""
-        finest = {"m": 1e-6, "deg": 1e-4, "": 1e-5}[self.unit]
-        return math.isclose(one, other, rel_tol=SAME, abs_tol=finest)
-
-    @property
-    def most(self) -> float:
-        """The largest value that there is."""
-        if self.unit == "deg":
-            return 180.0
-        return 1.0 if self.better == "higher" else math.inf
-
-    def limit_label(self, limit: float) -> str:
-        """A limit for people: ``10 deg``, ``2 cm``, ``IoU 0.5``."""
-        return self.pattern.format(f"{self.factor * limit:.10g}")
-
-    def meets(self, values: Array, limit: float) -> NDArray[np.bool_]:
-        """Which values are on the better side of a limit, or on it; NaN is not."""
-        return values >= limit if self.better == "higher" else values <= limit
+__all__ = ["all_facts", "fact", "in_order"]
 
 
 def fact(name: str) -> Fact:
     """The fact of a name; F-scores are called ``fscore_1cm``, ``fscore_5mm``, at any distance.
 
+    What the best and the worst hypothesis are at joint limits is called ``best_10deg_2cm``,
+    ``worst_5deg_1cm_f80``: degrees, a distance, and a percentage of F at 1 cm if it is limited.
     Raises :class:`FactError` that lists the names.
     """
     if name in _FACTS:
         return _FACTS[name]
     if match := re.fullmatch(r"fscore_([1-9]\d{0,3})(mm|cm)", name):
         return _fscore(name, int(match[1]), match[2])
+    if match := re.fullmatch(_JOINT, name):
+        which = cast(Literal["best", "worst"], match[1])
+        return _joint(name, which, match[2], match[3], match[4], match[5])
     raise FactError(
-        f"there is no fact {name!r}; expected one of {', '.join(_FACTS)}, or fscore_ and a distance"
-        " in whole mm or cm, such as fscore_1cm"
+        f"there is no fact {name[:40]!r}; expected one of {', '.join(_FACTS)}, or one with its"
+        " limits, such as fscore_1cm, fscore_5mm, best_10deg_2cm or worst_5deg_1cm_f80"
     )
 
 
@@ -105,7 +50,8 @@ def all_facts() -> list[Fact]:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Names of facts, each once, in the order of :func:`all_facts`; other F-scores come last."""
+    """Names of facts, each once, in the order of :func:`all_facts`; those that have limits in their
+    names come last."""
     known, given = [made.name for made in all_facts()], set(names)
     return [name for name in known if name in given] + sorted(given.difference(known))
 
@@ -122,8 +68,32 @@ def _fscore(name: str, distance: int, unit: str) -> Fact:
         "higher",
         told + " {}",
         lambda batch: batch.of_surfaces(lambda errors: float(errors.fscore(metres))),
-        frozenset({"shape"}),
+        _SHAPE,
+        _TRUE_SHAPE,
     )
+
+
+#: Best or worst; degrees, up to 180; a distance; a percentage, up to 100.
+_JOINT = r"(best|worst)_([1-9]\d?|1[0-7]\d|180)deg_([1-9]\d{0,3})(mm|cm)(?:_f([1-9]\d?|100))?"
+
+
+@functools.cache
+def _joint(
+    name: str,
+    which: Literal["best", "worst"],
+    degrees: str,
+    distance: str,
+    unit: str,
+    f: str | None,
+) -> Fact:
+    conditions = [
+        (fact("rotation_deg"), float(degrees)),
+        (fact("position_m"), int(distance) / {"mm": 1000, "cm": 100}[unit]),
+    ]
+    if f is not None:
+        conditions.append((fact("fscore_1cm"), int(f) / 100))
+    limits = ";".join(made.limit_label(limit).replace(" ", "") for made, limit in conditions)
+    return joint_margin(name, which, limits, conditions)
 
 
 def _rotation(batch: AnswerBatch) -> Sequence[float]:
@@ -138,6 +108,18 @@ def _position(batch: AnswerBatch) -> Sequence[float]:
 
 def _iou(batch: AnswerBatch) -> Sequence[float]:
     estimated, true = batch.boxes
+    ious: list[float] = symmetric_iou(*estimated, *true, batch.symmetry).tolist()
+    return ious
+
+
+def _scaled_position(batch: AnswerBatch) -> Sequence[float]:
+    estimated, true = batch.boxes_of_unit_diagonal
+    errors: list[float] = translation_error(estimated[1], true[1]).tolist()
+    return errors
+
+
+def _scaled_iou(batch: AnswerBatch) -> Sequence[float]:
+    estimated, true = batch.boxes_of_unit_diagonal
     ious: list[float] = symmetric_iou(*estimated, *true, batch.symmetry).tolist()
     return ious
 
@@ -175,6 +157,7 @@ def _of_surface(name: str, variant: str) -> str:
 
 _BOX: frozenset[Part] = frozenset({"extents"})
 _SHAPE: frozenset[Part] = frozenset({"shape"})
+_TRUE_SHAPE: frozenset[Known] = frozenset({"shape"})
 
 _FACTS: Mapping[str, Fact] = {
     made.name: made
@@ -248,6 +231,7 @@ _FACTS: Mapping[str, Fact] = {
             "NAD {}",
             lambda batch: batch.of_surfaces(lambda errors: errors.nad),
             _SHAPE,
+            _TRUE_SHAPE,
         ),
         Fact(
             "cd_m",
@@ -257,6 +241,7 @@ _FACTS: Mapping[str, Fact] = {
             "CD {} mm",
             lambda batch: batch.of_surfaces(lambda errors: errors.chamfer),
             _SHAPE,
+            _TRUE_SHAPE,
             factor=1000,
         ),
         Fact(
@@ -267,6 +252,7 @@ _FACTS: Mapping[str, Fact] = {
             "AD(S->S~) {} mm",
             lambda batch: batch.of_surfaces(lambda errors: errors.ad_truth_to_estimate),
             _SHAPE,
+            _TRUE_SHAPE,
             factor=1000,
         ),
         Fact(
@@ -277,7 +263,28 @@ _FACTS: Mapping[str, Fact] = {
             "AD(S~->S) {} mm",
             lambda batch: batch.of_surfaces(lambda errors: errors.ad_estimate_to_truth),
             _SHAPE,
+            _TRUE_SHAPE,
             factor=1000,
         ),
+        Fact(
+            "position_relative",
+            definition("translation_error", "own-diagonals").id(),
+            "",
+            "lower",
+            "{} %",
+            _scaled_position,
+            _BOX,
+            factor=100,
+        ),
+        Fact(
+            "iou_equal_diagonals",
+            definition("iou", "equal-diagonals").id(),
+            "",
+            "higher",
+            "NIoU {}",
+            _scaled_iou,
+            _BOX,
+        ),
+        *KNOWN_OBJECTS,
     )
 }

@@ -57,7 +57,8 @@ def pair_table(
     """The table with the facts of those ``names``.
 
     ``truths``: the image, the category and the truth of each object. Raises as
-    :func:`measure_facts`; a fact that a method does not give is left out.
+    :func:`measure_facts`; a fact that a method does not give, or that needs more
+    of a data set than it knows, is left out.
     """
     categories = sorted({category for _, category, _ in truths})
     images = {image: i for i, image in enumerate(sorted({*(d.image for d in detected)}))}
@@ -83,5 +84,9 @@ def pair_table(
     true = [truths[i][2] for i in detections.pairs[answered, 1].tolist()]
     measured = measure_facts(known, true, estimates, gives)
     for name in known:
-        facts[name][answered] = [each[name] for each in measured]
+        values = [each[name] for each in measured]
+        if None in values:
+            del facts[name]
+        else:
+            facts[name][answered] = values
     return PairTable(detected, categories, detections, facts)

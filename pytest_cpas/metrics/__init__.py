@@ -14,6 +14,14 @@ from pytest_cpas.metrics.definitions import (
     definition,
     require_same_definition,
 )
+from pytest_cpas.metrics.model_points import (
+    ModelPoints,
+    add,
+    add_s,
+    mspd,
+    mssd,
+    symmetry_rotations,
+)
 from pytest_cpas.metrics.pose import rotation_error, translation_error
 from pytest_cpas.metrics.precision import (
     FAILED,
@@ -50,8 +58,11 @@ __all__ = [
     "Detections",
     "Errors",
     "JointThreshold",
+    "ModelPoints",
     "Surface",
     "SurfaceErrors",
+    "add",
+    "add_s",
     "axis_aligned_box_iou",
     "best_and_worst",
     "count",
@@ -62,6 +73,8 @@ __all__ = [
     "iou_auc",
     "iou_plus",
     "mean_over_categories",
+    "mspd",
+    "mssd",
     "nocs_legacy_iou",
     "oriented_iou",
     "pose_vus",
@@ -70,5 +83,6 @@ __all__ = [
     "sample_surface",
     "surface_errors",
     "symmetric_iou",
+    "symmetry_rotations",
     "translation_error",
 ]

@@ -22,6 +22,9 @@ __all__ = ["DEFINITIONS", "Definition", "definition", "require_same_definition"]
 PAPER = "Bruns & Jensfelt 2023"
 NOCS = "Wang et al. 2019 (NOCS), published evaluation code"
 OMNI6DPOSE = "Zhang et al. 2024 (Omni6DPose)"
+HINTERSTOISSER = "Hinterstoisser et al. 2012"
+LAPOSE = "Zhang et al. 2024 (LaPose), published evaluation code"
+BOP = "Hodan et al. 2020 (BOP Challenge), bop_toolkit"
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class Definition:
     name: str
     variant: str
     version: int
-    unit: Literal["deg", "m", ""]
+    unit: Literal["deg", "m", "px", ""]
     better: Literal["lower", "higher", "neither"]
     source: str
     parameters: tuple[str, ...] = ()
@@ -67,10 +70,14 @@ DEFINITIONS: Mapping[tuple[str, str], Definition] = MappingProxyType(
             Definition("rotation_error", "symmetry-group", 1, "deg", "lower", PAPER),
             Definition("rotation_error", "symmetry-in-view", 1, "deg", "lower", NOCS),
             Definition("translation_error", "euclidean", 1, "m", "lower", PAPER),
+            Definition("translation_error", "own-diagonals", 1, "", "lower", LAPOSE),
             Definition("iou", "oriented", 1, "", "higher", PAPER),
             Definition("iou", "oriented-symmetric", 1, "", "higher", PAPER),
             Definition(
                 "iou", "oriented-symmetric-in-view", 1, "", "higher", PAPER + ", symmetry of NOCS"
+            ),
+            Definition(
+                "iou", "equal-diagonals", 1, "", "higher", LAPOSE + ", IoU of the oriented boxes"
             ),
             Definition("iou", "axis-aligned-boxes", 1, "", "higher", NOCS + ", repaired"),
             Definition("iou", "nocs-legacy", 1, "", "higher", NOCS),
@@ -83,9 +90,19 @@ DEFINITIONS: Mapping[tuple[str, str], Definition] = MappingProxyType(
             Definition("surface_recall", "strict", 1, "", "higher", PAPER, ("delta_m", *_SHAPE)),
             Definition("surface_precision", "strict", 1, "", "higher", PAPER, ("delta_m", *_SHAPE)),
             Definition("fscore", "strict", 1, "", "higher", PAPER, ("delta_m", *_SHAPE)),
+            Definition("add", "same-points", 1, "m", "lower", HINTERSTOISSER),
+            Definition("add", "nearest-points", 1, "m", "lower", HINTERSTOISSER),
+            Definition("add", "by-symmetry", 1, "m", "lower", HINTERSTOISSER),
+            Definition("add_relative", "same-points", 1, "", "lower", HINTERSTOISSER),
+            Definition("add_relative", "nearest-points", 1, "", "lower", HINTERSTOISSER),
+            Definition("add_relative", "by-symmetry", 1, "", "lower", HINTERSTOISSER),
+            Definition("mssd", "relative-to-diameter", 1, "", "lower", BOP, ("spins",)),
+            Definition("mspd", "of-width-640", 1, "px", "lower", BOP, ("spins",)),
             Definition("precision", "joint", 1, "", "higher", PAPER, ("limits",)),
             Definition("precision", "best-hypothesis", 1, "", "higher", PAPER, ("limits",)),
             Definition("precision", "worst-hypothesis", 1, "", "higher", PAPER, ("limits",)),
+            Definition("joint_margin", "best-hypothesis", 1, "", "lower", PAPER, ("limits",)),
+            Definition("joint_margin", "worst-hypothesis", 1, "", "lower", PAPER, ("limits",)),
             Definition("iou_auc", "integral", 1, "", "higher", OMNI6DPOSE, ("iou", "lower")),
             Definition(
                 "iou_auc", "midpoints", 1, "", "higher", OMNI6DPOSE, ("bins", "iou", "lower")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from pytest_cpas.facts import Fact, FactError, fact
@@ -14,7 +15,19 @@ from pytest_cpas.types import ContractError
 __all__ = ["Column", "CountColumn", "Protocol", "ProtocolError", "RankingColumn", "ScoreColumn"]
 
 #: The most that a limit may be, by the unit of its fact; what lies beyond is taken for a mistake.
-_LARGEST: Mapping[str, float] = {"deg": 180.0, "m": 100.0, "": 1000.0}
+_LARGEST: Mapping[str, float] = {"deg": 180.0, "m": 100.0, "px": 100_000.0, "": 1000.0}
+
+#: What a column can be judged by: the keys of which it has one.
+_KINDS: Mapping[str, str] = {
+    "at": "limits",
+    "area": "from and to",
+    "levels": "lists of limits",
+    "median": "a fact",
+    "ap": "limits",
+}
+
+#: More levels than that are a slip of the pen.
+_MOST_LEVELS = 1000
 
 
 class ProtocolError(ContractError):
@@ -73,24 +86,30 @@ class ScoreColumn(_Column):
     With ``areas``: the mean of the share of thresholds that the sample meets, of each fact from one
     to the other, multiplied. Of one fact it is the area under the precision curve (AUC), of two the
     volume under the surface (VUS), over its width. ``bins``: the midpoint sum of so many thresholds
-    per fact, 0 for the integral. With ``median``: the median of that fact over the samples.
+    per fact, 0 for the integral. With ``levels``: the mean of the share of those limits, per fact,
+    that the sample is strictly better than, multiplied; BOP calls it average recall. With
+    ``median``: the median of that fact over the samples.
     """
 
     areas: Mapping[str, tuple[float, float]]
     bins: int = 0
+    levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     median: str = ""
 
     def declared(self) -> dict[str, object]:
         """As the ``[[columns]]`` table of a file has it."""
         if self.median:
             return {**super().declared(), "median": self.median}
+        if self.levels:
+            levels = {name: list(limits) for name, limits in self.levels.items()}
+            return {**super().declared(), "levels": levels}
         area = {name: list(ends) for name, ends in self.areas.items()}
         return {**super().declared(), "area": area, **({"bins": self.bins} if self.bins else {})}
 
     @property
     def facts(self) -> tuple[Fact, ...]:
         """What it is judged by."""
-        return tuple(map(fact, [*self.areas, *filter(None, [self.median])]))
+        return tuple(map(fact, [*self.areas, *self.levels, *filter(None, [self.median])]))
 
     @property
     def better(self) -> Literal["lower", "higher"]:
@@ -239,7 +258,7 @@ class _Parser:
             raise self.fail(f"a column is {section!r}, expected a [[columns]] table")
         self.known(
             section,
-            ("id", "label", "guard", "at", "area", "bins", "median", "ap", "matched"),
+            ("id", "label", "guard", *_KINDS, "bins", "matched"),
             "a column",
         )
         name = self.text(section, "id")
@@ -248,11 +267,11 @@ class _Parser:
         guard = section.get("guard", False)
         if not isinstance(guard, bool):
             raise self.fail(f"column {name}: guard is {guard!r}, expected true or false")
-        kinds = [kind for kind in ("at", "area", "median", "ap") if kind in section]
+        kinds = [kind for kind in _KINDS if kind in section]
         if len(kinds) != 1:
             raise self.fail(
-                f"column {name} has {' and '.join(kinds) or 'no judgement'}, expected one of at"
-                " (limits), area (from and to), median (a fact) and ap (limits)"
+                f"column {name} has {' and '.join(kinds) or 'no judgement'}, expected one of "
+                + ", ".join(f"{kind} ({told})" for kind, told in _KINDS.items())
             )
         for key, kind in (("bins", "area"), ("matched", "ap")):
             if key in section and kinds != [kind]:
@@ -271,6 +290,17 @@ class _Parser:
             made = self.fact(name, section["median"])
             label = self.text(section, "label", f"median {made.name}")
             return ScoreColumn(**common(label=label), areas={}, median=made.name)
+        if kinds == ["levels"]:
+            levels = {
+                made.name: self.levels(name, made, value)
+                for made, value in self.facts(name, section["levels"])
+            }
+            told = " x ".join(
+                f"{len(limits)} limits to {fact(key).limit_label(limits[-1])}"
+                for key, limits in levels.items()
+            )
+            label = self.text(section, "label", f"mean over {told}")
+            return ScoreColumn(**common(label=label), areas={}, levels=levels)
         areas = {
             made.name: self.ends(name, made, value)
             for made, value in self.facts(name, section["area"])
@@ -337,3 +367,12 @@ class _Parser:
         if not start < stop:
             raise self.fail(f"column {column}: {made.name} runs from {start:g} to {stop:g}")
         return start, stop
+
+    def levels(self, column: str, made: Fact, value: object) -> tuple[float, ...]:
+        if not isinstance(value, list) or not 1 <= len(value) <= _MOST_LEVELS:
+            seen = str(value)[:80]
+            raise self.fail(f"column {column}: {made.name} is {seen}, expected a list of limits")
+        limits = tuple(self.limit(column, made, each) for each in value)
+        if any(later <= before for before, later in itertools.pairwise(limits)):
+            raise self.fail(f"column {column}: the limits on {made.name} do not rise")
+        return limits

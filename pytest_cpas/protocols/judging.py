@@ -139,6 +139,13 @@ def _scores(column: ScoreColumn, known: _Known) -> Array:
     if column.median:
         return known[column.median]
     share: Array = np.ones(len(known.facts))
+    for name, levels in column.levels.items():
+        value, rising = known[name], np.array(levels)
+        if fact(name).better == "higher":
+            better = np.searchsorted(rising, value, side="left")
+        else:
+            better = len(rising) - np.searchsorted(rising, value, side="right")
+        share = share * np.where(np.isnan(value), np.nan, better / len(rising))
     for name, (start, stop) in column.areas.items():
         value = known[name]
         # thresholds run from start to stop; those on the worse side of the value are met

@@ -54,6 +54,7 @@ from pytest_cpas.protocols import (
     score_columns,
 )
 from pytest_cpas.report.lacking import lacking
+from pytest_cpas.report.literature import literature_documents
 from pytest_cpas.report.published import points, published_count, published_document
 from pytest_cpas.types import Required, Verdict
 from pytest_cpas.types.samples import ALL
@@ -77,9 +78,10 @@ def document(
     """The document of a session: its runs, as of :func:`run_document`, failing ones first.
 
     ``protocols``: what they are judged under; ``failed_items`` counts the test items that failed,
-    whatever they tested. If a run is on a data set of the paper, the published tables stand beside.
+    whatever they tested. If a run is on a data set of the paper, the published tables stand beside;
+    under nocs-legacy, what the literature prints does.
     """
-    return {
+    content: Document = {
         "format": FORMAT,
         "outcome": "failed" if failed_items else worst(run["outcome"] for run in runs),
         "failed_items": failed_items,
@@ -90,6 +92,9 @@ def document(
         if any(run["published_as"] for run in runs)
         else {},
     }
+    if beside := literature_documents(runs, protocols):
+        content["literature"] = beside
+    return content
 
 
 def run_document(

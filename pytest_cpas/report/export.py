@@ -41,6 +41,8 @@ _COLUMNS = (
     "precision",
 )
 
+_SCORES = ("dataset", "method", "source", "category", "protocol", "column", "samples", "value")
+
 #: How the best three of a column are marked.
 _MARKS = ("{}", r"\textbf{{{}}}", r"\underline{{{}}}", r"\textit{{{}}}")
 
@@ -88,16 +90,25 @@ def _counts(document: Document) -> Iterator[tuple[tuple[str, str, str, str], str
 
 
 def scores_csv(document: Document) -> str:
-    """One line per data set, method, category and score; what is n/a has none."""
+    """One line per data set, method, category and score; what is n/a has none.
+
+    ``source`` is measured, or literature for what is printed elsewhere: of unknown ``samples``.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("dataset", "method", "category", "protocol", "column", "samples", "value"))
+    writer.writerow(_SCORES)
     for run in document["runs"]:
         for entry in run["scores"]:
             if (value := entry["measured"]) is not None:
-                where = (run["dataset"], run["method"], entry["category"])
+                where = (run["dataset"], run["method"], "measured", entry["category"])
                 texts = map(csv_cell, (*where, *split_label(entry["score"])))
                 writer.writerow((*texts, entry["samples"], f"{value:.6g}"))
+    for dataset, rows in document.get("literature", {}).items():
+        for row in rows:
+            for label, percent in row["percent"].items():
+                where = (dataset, row["method"], "literature", ALL)
+                texts = map(csv_cell, (*where, *split_label(label)))
+                writer.writerow((*texts, "", f"{percent / 100:.6g}"))
     return text.getvalue()
 
 

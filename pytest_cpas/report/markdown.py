@@ -12,8 +12,10 @@ from pytest_cpas.documents import (
     FlipDocument,
     RunDocument,
 )
+from pytest_cpas.golden.literature import LEGACY
 from pytest_cpas.reading.text import markdown as _text
 from pytest_cpas.reading.text import markdown_fence
+from pytest_cpas.report.literature import REMARK, literature_table, printed_rows
 from pytest_cpas.report.messages import (
     change_messages,
     contract_message,
@@ -95,6 +97,7 @@ def _lines(document: Document) -> Iterator[str]:
     for run in document["runs"]:
         yield from _categories(run)
         yield from _beside(run)
+        yield from _literature(run, document)
 
 
 def _methods(head: Sequence[str], lines: Sequence[Line]) -> Iterator[str]:
@@ -226,6 +229,26 @@ def _beside(run: RunDocument) -> Iterator[str]:
             )
         yield "</details>"
         yield ""
+
+
+def _literature(run: RunDocument, document: Document) -> Iterator[str]:
+    """What the literature prints, folded."""
+    table = literature_table(run, printed_rows(run, document))
+    if table is None:
+        return
+    yield f"<details><summary>{_text(run_title(run))}: beside the literature</summary>"
+    yield ""
+    yield from _table(
+        [f"{LEGACY}: AP in %", *table.columns, "paper"],
+        [
+            ["this run", *(f"**{cell}**" for cell in table.own), ""],
+            *([_text(row["method"]), *cells, _text(row["paper"])] for row, cells in table.lines),
+        ],
+    )
+    yield f"{REMARK}."
+    yield ""
+    yield "</details>"
+    yield ""
 
 
 def _side_cell(cell: SideCell) -> str:

@@ -14,8 +14,13 @@ from pytest_cpas.facts import (
     pair_table,
 )
 from pytest_cpas.metrics import (
+    ModelPoints,
     Surface,
+    add,
+    add_s,
     axis_aligned_box_iou,
+    mspd,
+    mssd,
     nocs_legacy_iou,
     oriented_iou,
     rotation_error,
@@ -23,10 +28,11 @@ from pytest_cpas.metrics import (
     symmetric_iou,
     translation_error,
 )
-from pytest_cpas.types import AnswerError, GroundTruth, Hypothesis, Pose, Symmetry
+from pytest_cpas.types import AnswerError, Camera, GroundTruth, Hypothesis, Pose, Symmetry
 
 NAMES = [made.name for made in all_facts()]
 UP = (0, 1, 0)
+CAMERA = Camera(1280, 960, 1000.0, 1000.0, 640.0, 480.0)
 
 
 def turned(rng) -> np.ndarray:
@@ -71,6 +77,12 @@ def alone(truth: GroundTruth, answer: Hypothesis) -> dict[str, float | None]:
         "iou_axis_aligned": axis_aligned_box_iou(*estimated, *true, spins=spins),
         "iou_legacy": nocs_legacy_iou(*estimated, *true, spins=spins),
     }
+    # by another way: the estimate is scaled about the camera until its diagonal is the true one
+    scale = np.linalg.norm(truth.extents) / np.linalg.norm(answer.extents)
+    scaled = answer.rotation, scale * answer.translation, scale * answer.extents
+    gap = np.linalg.norm(scaled[1] - truth.pose.translation)
+    facts["position_relative"] = gap / np.linalg.norm(truth.extents)
+    facts["iou_equal_diagonals"] = symmetric_iou(*scaled, *true, truth.symmetry)
     if truth.surface is None:
         return {name: float(facts[name]) if name in facts else None for name in NAMES}
     errors = surface_errors(
@@ -86,6 +98,17 @@ def alone(truth: GroundTruth, answer: Hypothesis) -> dict[str, float | None]:
         "ad_to_estimate_m": errors.ad_truth_to_estimate,
         "ad_to_truth_m": errors.ad_estimate_to_truth,
     }
+    model = ModelPoints(np.asarray(truth.surface))
+    poses = answer.pose, truth.pose
+    symmetric = truth.symmetry.axis is not None
+    for name, distance in {
+        "add": add(*poses, model),
+        "adds": add_s(*poses, model),
+        "add_or_adds": (add_s if symmetric else add)(*poses, model),
+    }.items():
+        facts |= {f"{name}_m": distance, f"{name}_relative": distance / model.diameter}
+    facts["mssd_relative"] = mssd(*poses, model, truth.symmetry) / model.diameter
+    facts["mspd_px"] = mspd(*poses, model, truth.symmetry, CAMERA)
     return {name: float(facts[name]) for name in NAMES}
 
 
@@ -98,7 +121,8 @@ def test_facts_are_the_metrics_of_their_names():
         for i in range(12)
     ]
     answers = [an_answer(rng, truth) for truth in truths]
-    found = measure_facts(NAMES, truths, answers, {"extents", "shape"})
+    given = {"extents", "shape"}
+    found = measure_facts(NAMES, truths, answers, given, [CAMERA] * 12)
     for facts, truth, answer in zip(found, truths, answers, strict=True):
         expected = alone(truth, answer)
         assert list(facts) == NAMES
@@ -106,12 +130,54 @@ def test_facts_are_the_metrics_of_their_names():
             assert value == (None if expected[name] is None else pytest.approx(expected[name]))
 
 
+def test_scale_agnostic_facts_do_not_know_the_scale():
+    """A scene that is thrice as large, and thrice as far, looks the same."""
+    rng = np.random.default_rng(7)
+    truth = a_truth(rng)
+    answer = an_answer(rng, truth)
+    larger = Hypothesis(
+        rotation=answer.rotation,
+        translation=3 * answer.translation,
+        extents=3 * np.asarray(answer.extents),
+    )
+    names = ["position_relative", "iou_equal_diagonals", "iou"]
+    one, other = measure_facts(names, [truth, truth], [answer, larger], {"extents"})
+    assert one["iou"] != other["iou"]
+    for name in names[:2]:
+        assert one[name] == pytest.approx(other[name])
+    (perfect,) = measure_facts(
+        names,
+        [truth],
+        [
+            Hypothesis(
+                rotation=truth.pose.rotation,
+                translation=0.5 * truth.pose.translation,
+                extents=0.5 * truth.extents,
+            )
+        ],
+        {"extents"},
+    )
+    assert perfect["position_relative"] == pytest.approx(0, abs=1e-12)
+    assert perfect["iou_equal_diagonals"] == pytest.approx(1)
+    assert perfect["iou"] < 0.2
+
+
 def test_what_is_not_given_is_not_known():
     rng = np.random.default_rng(2)
     truth = a_truth(rng)
-    (facts,) = measure_facts(NAMES, [truth], [an_answer(rng, truth)], set())
-    known = {name for name, value in facts.items() if value is not None}
-    assert known == {name for name in NAMES if not fact(name).needs}
+    answer = an_answer(rng, truth)
+    for cameras, surface, has in (
+        ([CAMERA], True, {"camera", "shape"}),
+        (None, True, {"shape"}),
+        ([None], False, set()),
+    ):
+        truth = a_truth(rng, surface=surface)
+        (facts,) = measure_facts(NAMES, [truth], [answer], set(), cameras)
+        known = {name for name, value in facts.items() if value is not None}
+        expected = {name for name in NAMES if not fact(name).needs and fact(name).knows <= has}
+        assert known == expected
+        failed = failed_facts(NAMES, truth, set(), cameras[0] if cameras else None)
+        assert {name for name, value in failed.items() if value is not None} == expected
     bare = Hypothesis(rotation=np.eye(3), translation=np.zeros(3))
     with pytest.raises(AnswerError, match="extents is None"):
         measure_facts(["iou"], [truth], [bare], {"extents"})
@@ -119,7 +185,7 @@ def test_what_is_not_given_is_not_known():
 
 def test_a_failed_answer_meets_no_limit():
     rng = np.random.default_rng(3)
-    facts = failed_facts(NAMES, a_truth(rng), {"extents", "shape"})
+    facts = failed_facts(NAMES, a_truth(rng), {"extents", "shape"}, CAMERA)
     for name, value in facts.items():
         for limit in (0.0, 1.0, 1e30):
             assert not fact(name).meets(np.array([value]), limit).any()
@@ -158,7 +224,8 @@ def test_pairs_are_those_of_an_image_and_category():
         Detected(name="3", image="b", category="bowl", score=0.7, hypothesis=answer),
         Detected(name="4", image="c", category="mug", score=0.1, hypothesis=answer),
     ]
-    table = pair_table(["position_m", "iou", "nad"], detected, truths, {"extents"})
+    names = ["position_m", "iou", "nad", "mspd_px"]
+    table = pair_table(names, detected, truths, {"extents"})
     assert table.categories == ["can", "mug"]
     assert table.detections.pairs.tolist() == [[0, 0], [1, 2]]
     estimated = answer.rotation, answer.translation, answer.extents
@@ -166,4 +233,4 @@ def test_pairs_are_those_of_an_image_and_category():
     iou = oriented_iou(*estimated, true.pose.rotation, true.pose.translation, true.extents)
     assert table.facts["iou"].tolist() == [pytest.approx(float(iou)), 0.0]
     assert table.facts["position_m"][1] == np.inf
-    assert "nad" not in table.facts
+    assert set(table.facts) == {"position_m", "iou"}

@@ -14,8 +14,8 @@ def test_an_id_names_everything_that_the_number_depends_on() -> None:
 
 
 def test_the_ious_differ() -> None:
-    ids = {entry.id() for entry in DEFINITIONS.values() if entry.name in ("iou", "iou_plus")}
-    assert len(ids) == 5
+    ious = [entry.id() for entry in DEFINITIONS.values() if entry.name in ("iou", "iou_plus")]
+    assert len(set(ious)) == len(ious) >= 5
     with pytest.raises(ContractError, match="different definitions"):
         require_same_definition(
             definition("iou", "oriented").id(), definition("iou", "nocs-legacy").id()

@@ -27,6 +27,7 @@ GOOD = {
         {"id": "box", "guard": True, "at": {"iou": 0.5}},
         {"id": "auc", "label": "AUC", "area": {"iou": [0.25, 1]}, "bins": 10},
         {"id": "middle", "median": "cd_m"},
+        {"id": "recall", "levels": {"mspd_px": [5, 10]}},
     ],
 }
 
@@ -39,7 +40,7 @@ def with_column(**column: object) -> dict:
 
 def test_declaration_is_read():
     protocol = Protocol.parse(GOOD, "here")
-    tight, box, auc, middle = protocol.columns
+    tight, box, auc, middle, recall = protocol.columns
     assert (protocol.name, protocol.version, protocol.title) == ("mine", 2, "mine")
     assert tight == CountColumn(
         protocol="mine",
@@ -52,7 +53,10 @@ def test_declaration_is_read():
         protocol="mine", id="auc", label="AUC", areas={"iou": (0.25, 1.0)}, bins=10
     )
     assert (middle.label, middle.better, auc.better) == ("median cd_m", "lower", "higher")
-    assert facts_of(protocol.columns) == ("position_m", "rotation_deg", "iou", "cd_m")
+    assert recall.levels == {"mspd_px": (5.0, 10.0)}
+    assert (recall.label, recall.better) == ("mean over 2 limits to MSPD 10 px", "higher")
+    names = ("position_m", "rotation_deg", "iou", "cd_m", "mspd_px")
+    assert facts_of(protocol.columns) == names
 
 
 @pytest.mark.parametrize(
@@ -97,6 +101,13 @@ def test_declaration_is_read():
         (with_column(area={"iou": [0, 1]}, bins=-1), "bins is -1"),
         (with_column(area={"iou": [0, 1]}, bins=10**9), "bins is 1000000000"),
         (with_column(at={"iou": 0.5}, bins=5, label="x"), "bins belongs? to"),
+        (with_column(levels={"mspd_px": 5}), "mspd_px is 5, expected a list of limits"),
+        (with_column(levels={"mspd_px": []}), r"mspd_px is \[\], expected a list of limits"),
+        (with_column(levels={"mspd_px": [0] * 1001}), "expected a list of limits"),
+        (with_column(levels={"mspd_px": [5, 5]}), "the limits on mspd_px do not rise"),
+        (with_column(levels={"mspd_px": [5, 200_000]}), "mspd_px is 200000 px, expected 0 to 1000"),
+        (with_column(levels={"iou": [0.5, 1.5]}), "iou is 1.5, expected 0 to 1"),
+        (with_column(levels={"mspd_px": [1]}, bins=3), "bins belongs to area"),
         (with_column(median="median"), "there is no fact 'median'"),
         (with_column(median=["iou"]), "there is no fact"),
         (with_column(), "column last has no judgement, expected one of at"),
@@ -151,7 +162,9 @@ def test_file_that_is_none(tmp_path):
 def test_shipped_protocols_are_sound():
     names = shipped_protocols()
     assert names[0] == PAPER == "cpas"
-    assert {"cpas", "omni6dpose", "nocs", "nocs-legacy"} <= set(names)
+    assert {"cpas", "nocs", "nocs-legacy", "bop", "best-of-n", "omni6dpose"} | {
+        *("omni6dpose-printed", "scale-agnostic")
+    } <= set(names)
     for name in names:
         protocol = shipped_protocol(name)
         assert protocol.name == name

@@ -91,11 +91,12 @@ def test_read_columns_are_the_thresholds_of_the_paper():
 
 def test_scores_are_those_of_the_metrics():
     facts = random_facts(300, known=True)
-    protocol = shipped_protocol("omni6dpose")
-    (table,) = {"x": score_table(score_columns([protocol]), ["mug"] * 300, facts)}.values()
+    protocols = [shipped_protocol("omni6dpose"), shipped_protocol("omni6dpose-printed")]
+    table = score_table(score_columns(protocols), ["mug"] * 300, facts)
     column = {name: [given[name] for given in facts] for name in facts[0]}
     seen = 0
-    for score in protocol.scores:
+    for score in score_columns(protocols):
+        assert bool(score.bins) == (score.protocol == "omni6dpose-printed")
         bins = score.bins or None
         if set(score.areas) == {"iou"}:
             expected = iou_auc(column["iou"], score.areas["iou"][0], bins=bins)
@@ -155,3 +156,63 @@ def test_thresholds_of_a_midpoint_sum_lie_in_the_middles():
         (score,) = score_table(columns, ["mug"], [{"iou": iou}])["mug"].values()
         assert score is not None
         assert score.value == pytest.approx((middles < iou).mean(), abs=1e-12)
+
+
+def test_average_recall_is_that_of_bop():
+    """The mean of the recalls at the listed limits, each strictly below it."""
+    columns = score_columns([shipped_protocol("bop")])
+    mssd, mspd = (column for column in columns if column.levels)
+    assert mssd.levels["mssd_relative"] == pytest.approx(np.arange(0.05, 0.51, 0.05))
+    assert mspd.levels["mspd_px"] == pytest.approx(np.arange(5, 51, 5))
+    errors = [0.0, 5.0, 7.0, 50.0, 49.9, 1e9, math.inf, None]
+    facts = [{"mspd_px": error, "mssd_relative": error and error / 100} for error in errors]
+    expected = np.mean([np.mean([e < limit for e in errors[:-1]]) for limit in range(5, 51, 5)])
+    table = score_table([mspd, mssd], ["a"] * len(facts), facts)["a"]
+    assert table["bop.ar_mspd"] == Score(pytest.approx(expected), 7)
+    assert table["bop.ar_mssd"] == Score(pytest.approx(expected), 7)
+
+
+def test_levels_of_what_is_better_when_it_is_larger():
+    content = {"name": "x", "columns": [{"id": "a", "levels": {"iou": [0.25, 0.5, 0.75]}}]}
+    columns = score_columns([Protocol.parse(content, "here")])
+    for iou, share in ((0.25, 0), (0.3, 1 / 3), (0.75, 2 / 3), (1, 1), (-math.inf, 0)):
+        (score,) = score_table(columns, ["mug"], [{"iou": iou}])["mug"].values()
+        assert score == Score(pytest.approx(share), 1)
+
+
+def test_areas_of_bop_are_those_of_the_curve_to_ten_centimetres():
+    facts = [{"add_m": x} for x in np.random.default_rng(0).uniform(0, 0.2, 40)]
+    (column,) = (c for c in shipped_protocol("bop").scores if set(c.areas) == {"add_m"})
+    found = score_table([column], ["a"] * 40, facts)["a"][column.key]
+    limits = np.linspace(0, 0.1, 100_001)
+    curve = [np.mean([given["add_m"] <= limit for given in facts]) for limit in limits[::100]]
+    assert found is not None
+    assert found.value == pytest.approx(np.mean(curve), abs=1e-3)
+
+
+#: What DetectMatch.metrics of cutoop 0.1.0 gives for these forty answers of one class.
+CUTOOP = {
+    "auc_iou_25": 0.37,
+    "auc_iou_50": 0.24675,
+    "auc_iou_75": 0.12625,
+    "vus_5deg_2cm": 0.0585425,
+    "vus_5deg_5cm": 0.1182225,
+    "vus_10deg_2cm": 0.08883,
+    "vus_10deg_5cm": 0.1999325,
+}
+
+
+def test_printed_areas_are_those_of_cutoop():
+    index = np.arange(40)
+    columns = {
+        "iou": (index * 37 % 101) / 101,
+        "rotation_deg": (index * 53 % 97) / 97 * 12,
+        "position_m": (index * 29 % 89) / 89 * 0.06,
+    }
+    facts = [{name: values[i] for name, values in columns.items()} for i in index]
+    printed = shipped_protocol("omni6dpose-printed").scores
+    scores = score_table(printed, ["mug"] * 40, facts)["mug"]
+    found = {column.id: scores[column.key] for column in printed}
+    for name, value in CUTOOP.items():
+        assert found.pop(name) == Score(pytest.approx(value, abs=1e-6), 40)
+    assert not found

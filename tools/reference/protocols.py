@@ -36,7 +36,8 @@ def _value(value: object) -> str:
 
 def _limits(limits: object) -> str:
     if isinstance(limits, list):
-        return " to ".join(f"{limit:g}" for limit in limits)
+        # two are the ends of an area
+        return (" to " if len(limits) == 2 else ", ").join(f"{limit:g}" for limit in limits)
     return f"{limits:g}"
 
 
@@ -49,10 +50,14 @@ def facts() -> str:
             made.unit or "-",
             made.better,
             codes(sorted(made.needs)) or "-",
+            codes(sorted(made.knows)) or "-",
         )
         for made in all_facts()
     ]
-    return table(["fact", "definition", "unit", "better", "needs"], rows)
+    return table(
+        ["fact", "definition", "unit", "better", "needs of the method", "needs of the data set"],
+        rows,
+    )
 
 
 def golden_file(name: str) -> str:

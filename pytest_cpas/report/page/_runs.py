@@ -7,7 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal
 
 from pytest_cpas.documents import Document, PrecisionDocument, RunDocument
+from pytest_cpas.golden.literature import LEGACY
 from pytest_cpas.report._html import Child, Element, element
+from pytest_cpas.report.literature import REMARK, literature_table, printed_rows
 from pytest_cpas.report.messages import contract_message, flip_message, run_title, troubles
 from pytest_cpas.report.page._parts import badge, flip_table, protocol_head, table
 from pytest_cpas.report.tables import (
@@ -39,6 +41,7 @@ def run_details(
         list(_category_tables(run)),
         [element("p", f"n/a: {line}", class_="faint") for line in run["lacking"]],
         list(_beside(run)),
+        list(_literature(run, document)),
         element("p", contract_message(run["contract"]), class_="faint"),
         element("h3", "Conditions"),
         table(
@@ -151,6 +154,38 @@ def _beside(run: RunDocument) -> Iterator[Element]:
         ]
         if tables:
             yield element("details", element("summary", kind.capitalize()), tables)
+
+
+def _literature(run: RunDocument, document: Document) -> Iterator[Element]:
+    """What the literature prints, folded; where it was read stands below the paper."""
+    shown = literature_table(run, printed_rows(run, document))
+    if shown is None:
+        return
+    own = element("tr", element("td", "this run"), [element("td", c) for c in shown.own])
+    lines = [
+        element(
+            "tr",
+            element("td", row["method"]),
+            [element("td", cell) for cell in cells],
+            element(
+                "td",
+                row["paper"],
+                element("small", "; ".join(filter(None, (row["read_in"], row["also_in"])))),
+                element("small", row["note"]) if row["note"] else None,
+                class_="wrap",
+            ),
+            class_="paper",
+        )
+        for row, cells in shown.lines
+    ]
+    yield element(
+        "details",
+        element("summary", "Beside the literature"),
+        table(
+            [f"{LEGACY}: AP in %", *shown.columns, "paper, and where it was read"], [own, *lines]
+        ),
+        element("p", f"{REMARK}.", class_="faint"),
+    )
 
 
 def _side_cell(cell: SideCell) -> Element:

@@ -17,6 +17,13 @@ from pytest_cpas.documents import (
     VerdictDocument,
 )
 from pytest_cpas.golden import Word
+from pytest_cpas.golden.literature import LEGACY
+from pytest_cpas.report.literature import (
+    REMARK,
+    literature_table,
+    nearest,
+    printed_beside,
+)
 from pytest_cpas.report.messages import (
     contract_message,
     judged_message,
@@ -28,6 +35,9 @@ from pytest_cpas.report.terminal._table import FEW, Terminal
 
 #: Characters of a line that is read at a glance.
 _WIDTH = 100
+
+#: Lines of the literature that stand beside a run, those nearest to it.
+_NEAREST = 5
 
 #: Verdicts that are told in full, although they need not fail.
 _TOLD = (Word.RECORDED, Word.PROBABLY_WORSE)
@@ -101,9 +111,24 @@ def _print_tables(terminal: Terminal, run: RunDocument) -> None:
         for protocol, own in _by_protocol(shown).items():
             for lines in _tables(protocol_title(first, protocol), own):
                 terminal.write_table(lines)
+    _print_literature(terminal, run)
     for line in run["lacking"]:
         for part in textwrap.wrap(f"n/a: {line}", _WIDTH, subsequent_indent="  "):
             terminal.write_line(part)
+
+
+def _print_literature(terminal: Terminal, run: RunDocument) -> None:
+    """What the literature prints nearest to the run."""
+    rows = printed_beside(run)
+    table = literature_table(run, nearest(run, rows, _NEAREST))
+    if table is None:
+        return
+    lines = [[f"{LEGACY}: AP in %", *table.columns], ["this run", *table.own]]
+    lines += [[row["method"], *cells] for row, cells in table.lines]
+    terminal.write_table(lines)
+    told = f"literature: the nearest {len(table.lines)} of {len(rows)} printed lines. {REMARK}"
+    for part in textwrap.wrap(told, _WIDTH, subsequent_indent="  "):
+        terminal.write_line(part)
 
 
 #: A column's label, a category and what stands there.
