@@ -12,11 +12,10 @@ from hostile import (
     harmless_markdown,
 )
 from made_documents import a_run_document
-from tables import GOLDEN, REFS, Fixed, a_speed, rows
+from tables import GOLDEN, REFS, Fixed, a_row, a_speed, rows
 
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.evaluation import failed_row
 from pytest_cpas.golden import Word
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document
@@ -31,19 +30,23 @@ FREE = {
     *("method", "dataset", "category", "sample", "other", "name", "check", "message", "details"),
     *("failure", "error", "before", "after", "lines", "missing", "problems", "differences"),
     *("unpaired", "cpu", "device", "system", "python", "versions", "threads", "categories"),
-    *("identity", "provenance", "machine"),
+    *("identity", "provenance", "machine", "lacking"),
 }
+
+#: Mappings whose keys are names: their texts are all of one kind.
+KEYED = ("identity", "provenance", "versions", "definitions")
 
 #: Keys whose text is one of ours, which the schema or another part of the document fixes.
 CLOSED = {
     *("outcome", "golden", "threshold", "thresholds", "word", "status", "published_as", "kind"),
     *("clock", "host_source", "published", "lost", "gained", "changed"),
+    *("score", "guards", "better", "definitions"),
 }
 
 
 def a_document() -> dict:
     """One that has every part."""
-    judged = [failed_row(REFS[0], "no answer", True, True), *rows(s_03=7.0)[1:9]]
+    judged = [a_row(REFS[0].id, REFS[0].category, failure="no answer"), *rows(s_03=7.0)[1:9]]
     run = Fixed("spd", "real275", REFS, identity={"data": "x"}, missing=["a part"], damaged=["b"])
     made = {
         "errors": {REFS[9].id: "unreadable"},
@@ -57,10 +60,10 @@ def a_document() -> dict:
         ],
         "speed": a_speed(0.2),
     }
-    content = document([a_run_document(run, judged, GOLDEN, **made)], 1)
+    content = document([a_run_document(run, judged, GOLDEN, **made)], 1, run.protocols)
     content["runs"][0]["findings"] = [{"category": "can", "name": "frame", "lines": ["do so"]}]
     content["runs"][0]["contract"][0]["status"] = "gone"
-    other = document([a_run_document(run, rows(), GOLDEN)], 0)["runs"]
+    other = document([a_run_document(run, rows(), GOLDEN)], 0, run.protocols)["runs"]
     content["against"] = against(content["runs"], other)
     content["against"]["pairs"][0]["differences"] = ["something"]
     content["against"]["unpaired"] = ["another run"]
@@ -79,7 +82,7 @@ def hostile(content: dict, text: str) -> tuple[dict, set[str]]:
             return {
                 # what stands for all categories, and parts of ours, stay
                 (text + k if key in ("categories", "versions", "threads") else k): renamed(
-                    v, key if key in ("identity", "provenance", "versions") else k
+                    v, key if key in KEYED else k
                 )
                 for k, v in value.items()
             }

