@@ -50,8 +50,9 @@ from pytest_cpas.types.datasets import STORED
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents, to_standard
 
 
-def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Array]:
-    """Pose and extents (3,), metres, of a (4, 4) similarity and a box relative to its scale."""
+def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Array, Array, Array]:
+    """Rotation (3, 3), translation (3,) and extents (3,), metres, of a (4, 4) similarity and a box
+    relative to its scale."""
     scaled = frozen_array(scaled, (4, 4), "the pose")
     determinant = float(np.linalg.det(scaled[:3, :3]))
     if not determinant > 0:
@@ -60,7 +61,7 @@ def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Pose, Arra
         )
     scale = np.cbrt(determinant)
     extents = frozen_array(relative, (3,), "the scales") * scale
-    return Pose(scaled[:3, :3] / scale, scaled[:3, 3]), extents
+    return scaled[:3, :3] / scale, scaled[:3, 3], extents
 
 
 class StoredRun(Run):
@@ -76,6 +77,8 @@ class StoredRun(Run):
         """Read the file or folder; nothing is judged yet."""
         self._frames: dict[str, Frame] = {}
         self._places: dict[str, tuple[str, int]] = {}
+        #: The truths of samples that were judged, which are not made twice.
+        self._truths: dict[str, GroundTruth] = {}
         digest = hashlib.sha256()
         samples = []
         for name, frame in read_frames(path):
@@ -124,7 +127,8 @@ class StoredRun(Run):
 
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample."""
-        return self._pair(ref)[0]
+        known = self._truths.get(ref.id)
+        return self._pair(ref)[0] if known is None else known
 
     def ranking(self) -> Ranking | None:
         """All detections of the frames, ranked; None of a part of the samples, or without scores.
@@ -153,13 +157,19 @@ class StoredRun(Run):
 
     def _hypothesis(self, name: str, index: int) -> Hypothesis | None:
         """A detection of a frame in the standard frames; None where its pose is none."""
-        frame = self._frames[name]
         try:
-            pose, extents = _posed_box(frame["pred_RTs"][index], frame["pred_scales"][index])
-            made = Hypothesis(rotation=pose.rotation, translation=pose.translation, extents=extents)
+            return to_standard(self._estimate(name, index), self.info)
         except ContractError:
             return None
-        return to_standard(made, self.info)
+
+    @functools.cache  # noqa: B019 - lives as long as the run
+    def _estimate(self, name: str, index: int) -> Hypothesis:
+        """A stored detection as it is; :class:`ContractError` where its pose is none."""
+        frame = self._frames[name]
+        rotation, translation, extents = _posed_box(
+            frame["pred_RTs"][index], frame["pred_scales"][index]
+        )
+        return Hypothesis(rotation=rotation, translation=translation, extents=extents)
 
     @functools.cached_property
     def _rows(self) -> dict[str, Row | ContractError]:
@@ -172,6 +182,7 @@ class StoredRun(Run):
             except ContractError as error:
                 rows[ref.id] = error
         truths = [truth for truth, _ in pairs.values()]
+        self._truths = dict(zip((ref.id for ref in pairs), truths, strict=True))
         predictions = [prediction for _, prediction in pairs.values()]
         answers = measure(self.facts, truths, predictions, self.info)
         for ref, answer in zip(pairs, answers, strict=True):
@@ -182,9 +193,11 @@ class StoredRun(Run):
         name, index = self._places[ref.id]
         frame = self._frames[name]
         try:
-            pose, extents = _posed_box(frame["gt_RTs"][index], frame["gt_scales"][index])
+            rotation, translation, extents = _posed_box(
+                frame["gt_RTs"][index], frame["gt_scales"][index]
+            )
             truth = GroundTruth(
-                pose=Pose(pose.rotation @ NOCS_FROM_SHAPENET, pose.translation),
+                pose=Pose(rotation @ NOCS_FROM_SHAPENET, translation),
                 extents=permute_extents(extents, NOCS_FROM_SHAPENET.T),
                 symmetry=symmetry_of(ref.category),
                 symmetry_in_view=self._symmetry_in_view(frame, index, ref.category),
@@ -195,12 +208,7 @@ class StoredRun(Run):
         if detection < 0:
             return truth, Prediction.failed("not detected")
         try:
-            pose, extents = _posed_box(
-                frame["pred_RTs"][detection], frame["pred_scales"][detection]
-            )
-            return truth, Prediction(
-                (Hypothesis(rotation=pose.rotation, translation=pose.translation, extents=extents),)
-            )
+            return truth, Prediction((self._estimate(name, detection),))
         except ContractError as error:
             raise AnswerError(f"prediction {detection} of {name}: {error}") from None
 
