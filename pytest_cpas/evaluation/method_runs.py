@@ -39,6 +39,11 @@ from pytest_cpas.types.frames import to_standard
 __all__ = ["MethodError", "MethodRun", "check_answers"]
 
 
+#: Of a folder of weights that are not declared: files that are looked at, and bytes up to which
+#: their contents are.
+_MOST_FILES, _LARGEST_FOLDER = 10_000, 2**30
+
+
 class MethodError(Exception):
     """A method cannot be loaded."""
 
@@ -94,6 +99,7 @@ class MethodRun(Run):
         self.provenance = {
             **self.provenance,
             **({} if method.info.deterministic else {"deterministic": "no"}),
+            **_undeclared_weights(method, weights),
             **program_of(type(method)).facts(),
             "data_code": program_of(*readers_of(dataset)).code,
         }
@@ -219,6 +225,20 @@ def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
     for asset in sorted(assets, key=lambda asset: asset.path):
         digest.update(f"{asset.path} {sha256(folder / asset.path)}\n".encode())
     return {"weights": digest.hexdigest()[:16]}
+
+
+def _undeclared_weights(method: Method, folder: Path | None) -> dict[str, str]:
+    """A digest of the folder that a method without declared assets is given: what it reads there is
+    known to nobody."""
+    if folder is None or assets_of(method, folder):
+        return {}
+    files = sorted(path for path in folder.rglob("*") if path.is_file())[:_MOST_FILES]
+    small = sum(path.stat().st_size for path in files) <= _LARGEST_FOLDER
+    digest = hashlib.sha256()
+    for path in files:
+        told = sha256(path) if small else str(path.stat().st_size)
+        digest.update(f"{path.relative_to(folder)} {told}\n".encode(errors="backslashreplace"))
+    return {"weights_folder": digest.hexdigest()[:16]}
 
 
 def check_answers(answers: Sequence[Prediction], info: MethodInfo) -> Prediction:

@@ -195,7 +195,9 @@ def _file_of(name: str) -> Path | None:
         spec = importlib.machinery.PathFinder.find_spec(part, path)
         if spec is None:
             return None
-        path = list(spec.submodule_search_locations or ())
+        locations = spec.submodule_search_locations
+        # of a folder without __init__.py they know how to look again, in modules that are loaded
+        path = list(getattr(locations, "_path", None) or locations or ())
     if spec is None or not spec.has_location or spec.origin is None:
         return None
     return _place(Path(spec.origin))

@@ -111,7 +111,7 @@ def _other_columns(
         verdicts.append(Verdict(Word.STALE, ALL, told))
     if golden.outdated:
         told = (
-            "the golden table has the form of version 1, which knew less; if these results are"
+            "the golden table has an earlier form, which knew less; if these results are"
             " right, record it anew with --snapshot-update"
         )
         verdicts.append(Verdict(Word.OUTDATED, COMPLETENESS, told))

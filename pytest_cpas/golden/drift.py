@@ -27,7 +27,14 @@ from pytest_cpas.golden.tables import RunTable, differences
 __all__ = ["Drift", "drifts", "is_same_platform"]
 
 #: What of a table's provenance says nothing about the machine that it was made on.
-_NOT_PLATFORM = ("code", "data_code", "revision", "deterministic")
+_NOT_PLATFORM = (
+    "code",
+    "data_code",
+    "conftest",
+    "revision",
+    "deterministic",
+    "weights_folder",
+)
 
 
 @dataclass(frozen=True)

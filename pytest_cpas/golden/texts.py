@@ -244,7 +244,12 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
         raise GoldenError(str(error)) from error
     for name in again:
         if again[name] != texts.get(name):
-            raise GoldenError(f"{name} is not what follows from {FACTS}, or one of them was edited")
+            told = (
+                f"{name} is not as it is written"
+                if name in (FACTS, DETECTIONS)
+                else f"{name} is not what follows from the other files: one of them was edited"
+            )
+            raise GoldenError(told)
     return table
 
 

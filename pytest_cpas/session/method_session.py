@@ -8,6 +8,7 @@ reports them (:mod:`pytest_cpas.session.reporting`).
 from __future__ import annotations
 
 import functools
+import hashlib
 import sys
 from collections.abc import Generator
 from contextlib import ExitStack
@@ -29,6 +30,7 @@ from pytest_cpas.evaluation import (
 from pytest_cpas.golden import orphans
 from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
+from pytest_cpas.reading.files import sha256
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.report.terminal import Terminal, shows_samples
@@ -57,6 +59,16 @@ ITEM_RESULT = pytest.StashKey[ItemResult]()
 
 #: Where a worker's input has the programs of its methods and data sets.
 _PROGRAMS = "cpas_programs"
+
+
+def _conftests(config: pytest.Config) -> dict[str, str]:
+    """A digest of the conftest.py files of a run, which can change what a method answers."""
+    plugins = (getattr(plugin, "__file__", None) for plugin in config.pluginmanager.get_plugins())
+    files = sorted({Path(file) for file in plugins if file and Path(file).name == "conftest.py"})
+    if not files:
+        return {}
+    contents = "".join(sha256(file) for file in files if file.is_file())
+    return {"conftest": hashlib.sha256(contents.encode()).hexdigest()[:16]}
 
 
 class CpasSession(SuiteSession):
@@ -93,6 +105,9 @@ class CpasSession(SuiteSession):
                 timeout=sample_seconds(config),
             )
             runs = resolve_runs(options)
+            for run in runs:
+                if isinstance(run, MethodRun):
+                    run.provenance = {**run.provenance, **_conftests(config)}
             files = open_results(options, runs)
             self.stages = contract_stages(runs)
             others = read_others(options, runs) if self.is_controller else []
@@ -180,13 +195,21 @@ class CpasSession(SuiteSession):
                 if nodeid in all_selected:
                     selected |= categories
                     left.discard(nodeid)
-            deselected[run] = there - selected if selected else set()
+            deselected[run] = there - selected if selected and self._is_selection_asked else set()
         for run, collected in self.collected.items():
             # of an item that is none of those known nobody can say what it judges
             collected.exclude(
                 named=self.options.selection.categories,
                 deselected=() if left else deselected[run],
             )
+
+    @property
+    def _is_selection_asked(self) -> bool:
+        """Whether the command line names what is to be run: what a plugin leaves out is not left
+        out by whoever asked."""
+        option = self.config.option
+        named = (option.keyword, option.markexpr, option.deselect)
+        return any(named) or any("::" in argument for argument in self.config.args)
 
     def item_content(self, item: pytest.Item) -> Any:
         """The run's index and what the item found; None for items that judge no sample."""

@@ -344,6 +344,34 @@ def test_rows_of_a_program_that_was_broken_since_are_not_believed(mine, pytester
     }
 
 
+@pytest.mark.parametrize("changed", ["conftest.py", "weights/data.bin"])
+def test_rows_are_not_believed_beside_another_conftest_or_other_weights(mine, pytester, changed):
+    """What no import tells: a conftest can replace anything, and a method reads what it likes of a
+    folder of weights that it declares nothing of."""
+    path = pytester.path / changed
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("one = 1\n")
+    (pytester.path / "weights").mkdir(exist_ok=True)
+    keep = ("--cpas-results=out", "--cpas-weights=weights", "-k", "test_sample")
+    mine(GOOD, *keep).stdout.fnmatch_lines(["rows: computed 12"])
+    mine(GOOD, *keep).stdout.fnmatch_lines(["rows: reused 12 from *"])
+    path.write_text("one = 2\n")
+    what = "conftest" if "conftest" in changed else "weights_folder"
+    mine(GOOD, *keep).stdout.fnmatch_lines(
+        [f"rows: computed 12, not reused 12 of another program ({what} was *, now *)"]
+    )
+
+
+def test_folders_without_init_are_imported_from(mine, pytester):
+    (pytester.path / "lib" / "sub").mkdir(parents=True)
+    (pytester.path / "lib" / "sub" / "own.py").write_text("angle = 1\n")
+    text = GOOD.replace("from tiny import *", "from tiny import *\nfrom lib.sub.own import angle")
+    keep = ("--cpas-results=out", "-k", "test_sample")
+    mine(text, *keep).stdout.fnmatch_lines(["rows: computed 12"])
+    (pytester.path / "lib" / "sub" / "own.py").write_text("angle = 2\n")
+    mine(text, *keep).stdout.fnmatch_lines(["rows: computed 12, not reused 12 *(code was *"])
+
+
 DATA = """
 import tiny
 

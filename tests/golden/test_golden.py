@@ -165,7 +165,7 @@ def test_half_a_table_is_refused(tmp_path):
     before = {name: (folder / name).read_bytes() for name in FILES}
     for name in FILES:
         (folder / name).write_bytes((other / name).read_bytes())
-        with pytest.raises(GoldenError, match=r"\.(toml|csv) is not what follows from facts\.csv"):
+        with pytest.raises(GoldenError, match=r"\.(toml|csv) is not what follows from the other files"):
             read_golden(folder)
         (folder / name).write_bytes(before[name])
     assert read_golden(folder) == GOLDEN

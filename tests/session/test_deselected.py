@@ -68,3 +68,23 @@ def test_nothing_is_recorded_of_it(damaged, pytester):
     result = damaged("-k", "not test_listing", "--snapshot-update")
     assert result.ret == 1
     assert not list((pytester.path / "golden").iterdir())
+
+
+DROPS = """
+def pytest_collection_modifyitems(items):
+    items[:] = [item for item in items if "bowl" not in item.nodeid]
+"""
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=["alone", "-n2"])
+def test_a_category_that_a_plugin_leaves_out_is_asked_for(cpas, pytester, how):
+    """Nobody named it: it is not checked, and not "not asked for"."""
+    assert cpas("Perfect", "--snapshot-update").ret == 0
+    pytester.makepyfile(drops=DROPS)
+    pytester.syspathinsert()
+    result = cpas("Perfect", "-p", "drops", "--cpas-require-golden", *how)
+    assert result.ret == 1
+    assert "not asked for" not in result.stdout.str()
+    result.stdout.fnmatch_lines(["*NOT CHECKED bowl*"])
+    named = cpas("Perfect", "-k", "not bowl", "--cpas-require-golden", *how)
+    assert named.ret == 0
