@@ -154,8 +154,8 @@ def read_model(path: Path) -> Model:
 def read_target(text: str, where: str) -> tuple[list[float], Array]:
     """Camera (width, height, fx, fy, cx, cy) and keypoints (k, 3), metres, of a ``.pbtxt``."""
     # blocks do not nest below these two
-    blocks = re.findall(r"(camera|keypoints)\s*\{([^{}]*)\}", text.partition("proj_targets")[0])
-    fields = [(kind, dict(re.findall(r"(\w+)\s*:\s*(\S+)", body))) for kind, body in blocks]
+    blocks = re.findall(r"\b(camera|keypoints)\s*+\{([^{}]*+)\}", text.partition("proj_targets")[0])
+    fields = [(kind, dict(re.findall(r"\b(\w++)\s*+:\s*+(\S++)", body))) for kind, body in blocks]
     cameras = [values for kind, values in fields if kind == "camera"]
     points = [values for kind, values in fields if kind == "keypoints"]
     if len(cameras) != 1 or not points:

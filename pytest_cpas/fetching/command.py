@@ -25,7 +25,7 @@ from pytest_cpas.fetching.download import (
     download,
     sha256,
 )
-from pytest_cpas.reading.archives import ArchiveError, unpack
+from pytest_cpas.reading.archives import KEPT, ArchiveError, unpack
 from pytest_cpas.reading.files import read_text
 from pytest_cpas.types import Asset, MethodInfo
 
@@ -94,7 +94,7 @@ def fetch(
     cannot fetch is told as steps. Raises :class:`FetchError`.
     """
     folder = to / source.folder
-    kept = folder / ".fetched"
+    kept = folder / KEPT
     tell(f"{source.name}: {source.about}\nlicence: {source.licence}\nfolder: {folder}")
     wanted = [file for file in source.file if not _is_done(file, folder, kept)]
     if wanted:

@@ -31,6 +31,7 @@ from pytest_cpas.protocols import Protocol, ProtocolError, RankedDetection, Rank
 from pytest_cpas.reading.structured import parse_toml
 from pytest_cpas.reading.tables import csv_lines, real
 from pytest_cpas.types import DataError
+from pytest_cpas.types.names import checked_text
 from pytest_cpas.types.samples import ALL
 
 __all__ = ["FORMAT", "RUN", "file_names", "parse_table", "table_texts"]
@@ -328,6 +329,8 @@ def _read_facts(text: str, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...
             made.name: _number(value, made)
             for made, value in zip(in_catalogue, line[len(_KEYS) : -1], strict=True)
         }
+        checked_text("category", category)
+        checked_text("sample", name)
         own, given = answers.setdefault(sys.intern(name), (sys.intern(category), []))
         if own != category or seed != str(len(given)):
             raise ValueError(f"{FACTS}, line {number}: sample {name}, seed {seed}: out of order")
@@ -357,6 +360,8 @@ def _read_ranking(text: str, stated: Mapping[str, Any], protocols: Sequence[Prot
         if len(line) != len(_DETECTION) or not re.fullmatch(f"[01-]{{{columns}}}", line[-1]):
             raise ValueError(f"{DETECTIONS}, line {number}: expected {', '.join(_DETECTION)}")
         category, name, score, outcome = line
+        checked_text("category", category)
+        checked_text("detection", name)
         value = real(score, -math.inf, math.inf)
         detections[name] = RankedDetection(sys.intern(category), value, sys.intern(outcome))
     counted = {

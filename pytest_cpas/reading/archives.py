@@ -190,6 +190,10 @@ def _tar_members(archive: tarfile.TarFile) -> Iterator[_File]:
             yield _File(path, info.size, lambda info=info: archive.extractfile(info))  # type: ignore[misc]
 
 
+#: The folder in which downloads are kept until they are unpacked, beside what came of them.
+KEPT = ".fetched"
+
+
 def _checked(name: str) -> PurePosixPath:
     """The path that a member names, if it stays within the folder on every system."""
     path = PurePosixPath(name)
@@ -201,6 +205,8 @@ def _checked(name: str) -> PurePosixPath:
         or re.match(r"[A-Za-z]:", name)
     ):
         raise ArchiveError(f"{name[:200]!r} leads out of the folder")
+    if path.parts[0] == KEPT:
+        raise ArchiveError(f"{name[:200]!r} is where downloads are kept, which no archive holds")
     if len(name) > _LONGEST_PATH or any(len(os.fsencode(p)) > _LONGEST_NAME for p in path.parts):
         raise ArchiveError(
             f"{name[:80]!r}... has {len(name)} characters; a path may have {_LONGEST_PATH}, and"

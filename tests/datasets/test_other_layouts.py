@@ -19,7 +19,7 @@ from pytest_cpas.datasets.housecat import HouseCat6D
 from pytest_cpas.datasets.phocal import PhoCaL
 from pytest_cpas.datasets.tod import Tod, read_target
 from pytest_cpas.datasets.wild6d import Wild6D
-from pytest_cpas.types import Camera, ContractError, Pose
+from pytest_cpas.types import Camera, ContractError, DataError, Pose
 
 CAMERA = Camera(160, 120, 150.0, 148.0, 80.5, 61.0)
 MATRIX = "\n".join(" ".join(map(str, row)) for row in CAMERA.matrix)
@@ -390,3 +390,9 @@ def test_parent_folder_is_accepted_or_told_what_to_fetch(tmp_path, write, load) 
     shutil.move(tmp_path / "tree", tmp_path / data.name)
     assert load(tmp_path).samples == data.samples
     assert load(tmp_path).digest == data.digest
+
+
+@pytest.mark.parametrize("body", ["a" * 300_000, "a " * 150_000, "a" + " " * 300_000])
+def test_a_target_of_many_letters_is_refused_at_once(body):
+    with pytest.raises(DataError, match="expected"):
+        read_target(f"camera {{{body}}} keypoints {{{body}}}", "x")

@@ -40,7 +40,7 @@ def far_below(rows, expected):
     [(4, 0.8, False), (3, 0.8, True), (0, 0.0, False), (3, None, False), (2, None, True)],
 )
 def test_far_below(correct, expected, far):
-    table = {} if expected is None else {("mug", "10 deg, 2 cm"): expected}
+    table = {} if expected is None else {("mug", "cpas.10deg_2cm"): expected}
     assert far_below(rows(correct, 10), table) is far
 
 
@@ -66,7 +66,7 @@ def test_wrong_boxes_are_far_below_too(iou, far):
 
 
 def test_no_rows_are_not_far_below():
-    assert not far_below([], {("mug", "10 deg, 2 cm"): 1.0})
+    assert not far_below([], {("mug", "cpas.10deg_2cm"): 1.0})
 
 
 def test_regression_is_explained_in_terminal_and_junit(recorded, pytester):
@@ -160,7 +160,7 @@ def test_stored_predictions_in_another_object_frame(rewritten):
 
     sound = rewritten(lambda arrays: None)
     sound.stdout.no_fnmatch_line("*  change: *")
-    (line,) = [line for line in sound.outlines if line.startswith("all ")]
+    line = next(line for line in sound.outlines if line.startswith("all "))
     correct, total = line.split()[1].split("/")
     result = rewritten(change)
     result.stdout.fnmatch_lines(

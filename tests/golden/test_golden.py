@@ -165,7 +165,9 @@ def test_half_a_table_is_refused(tmp_path):
     before = {name: (folder / name).read_bytes() for name in FILES}
     for name in FILES:
         (folder / name).write_bytes((other / name).read_bytes())
-        with pytest.raises(GoldenError, match=r"\.(toml|csv) is not what follows from the other files"):
+        with pytest.raises(
+            GoldenError, match=r"\.(toml|csv) is not what follows from the other files"
+        ):
             read_golden(folder)
         (folder / name).write_bytes(before[name])
     assert read_golden(folder) == GOLDEN
@@ -366,3 +368,11 @@ def test_shipped_tables_are_sound():
     }
     for folder in folders:
         read_golden(folder)
+
+
+@pytest.mark.parametrize("name", ["s/1\x1b[31m", "s\n::error::x", "x" * 501])
+def test_names_that_no_sample_can_have_are_refused(tmp_path, name):
+    """Whatever the digests say: they would reach a terminal."""
+    odd = replace(GOLDEN, samples={**GOLDEN.samples, name: GOLDEN.samples["s/00"]})
+    with pytest.raises(GoldenError, match="expected at most 500 printable characters"):
+        parse_table("m", "d", table_texts(odd))

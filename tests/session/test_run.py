@@ -421,7 +421,9 @@ def test_golden_table_that_was_edited_is_refused(recorded, pytester):
     table.write_text(table.read_text().replace('10deg_2cm = "6/6"', '10deg_2cm = "5/6"'))
     result = recorded("Perfect")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["golden: DAMAGED: *cpas.toml is not what follows from the other files*"])
+    result.stdout.fnmatch_lines(
+        ["golden: DAMAGED: *cpas.toml is not what follows from the other files*"]
+    )
 
 
 def test_golden_folder_can_be_named(recorded, pytester):
