@@ -160,7 +160,7 @@ def extents_of_nothing(tree):
     (tree / "fixed_real_test_obj_models" / "mug_0.obj").unlink()
     (tree / "obj_models" / "real_test" / "mug_0.obj").unlink()
     (tree / "obj_models" / "real_test" / "mug_0.txt").write_text("0.1 0 0.1")
-    return "readable", "extents: "
+    return "readable", "extents (metres): "
 
 
 def depth_that_is_off(tree):

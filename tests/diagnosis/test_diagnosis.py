@@ -55,13 +55,13 @@ def evidence(test_data, info):
 def correct(test_data):
     """How many rows are correct at 10 deg, 2 cm, as the metrics say."""
     rows, _ = stored(test_data)
-    return sum(row.rotation_error <= 10 and row.translation_error <= 0.02 for row in rows)
+    return sum(row.facts["rotation_deg"] <= 10 and row.facts["position_m"] <= 0.02 for row in rows)
 
 
 @pytest.fixture
 def boxes(test_data):
     """How many rows have an IoU of at least 0.5, as the metrics say."""
-    return sum(row.iou >= 0.5 for row in stored(test_data)[0])
+    return sum(row.facts["iou"] >= 0.5 for row in stored(test_data)[0])
 
 
 def wrong(evidence, rotation=None, translation=None, extents=None):

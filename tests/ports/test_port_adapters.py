@@ -102,10 +102,10 @@ def test_real_frame(method, test_data):
     for ref in data.samples:
         sample = data.load(ref)
         prediction = check_answers(method.predict([sample.observation], 0), method.info)
-        rows += measure([ref], [sample.truth], [prediction], method.info)
+        rows += measure(["fscore_1cm"], [sample.truth], [prediction], method.info)
     assert len(rows) == 5
     assert all(row.failure is None or "no pose fits" in row.failure for row in rows)
-    assert any(row.failure is None and row.fscore_1cm is not None for row in rows)
+    assert any(row.failure is None and row.facts["fscore_1cm"] is not None for row in rows)
 
 
 def test_torch_is_imported_only_to_load():

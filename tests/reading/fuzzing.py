@@ -325,7 +325,10 @@ def judged(path: Path) -> None:
     for ref in run.samples:
         try:
             row = run.judge(ref)
-            assert row.failure or np.isfinite([row.translation_error, row.rotation_error]).all()
+            assert (
+                row.failure
+                or np.isfinite([row.facts["position_m"], row.facts["rotation_deg"]]).all()
+            )
         except SampleError:
             pass
 
@@ -336,19 +339,22 @@ def results() -> list[bytes]:
     header = {
         "header": {
             "method": "m", "dataset": "d", "shard": "1/1", "selected": 2, "listed": {"mug": 2},
-            "missing": [], "damaged": [], "identity": {"data": "x"}, "provenance": {"code": "y"},
+            "missing": [], "damaged": [], "identity": {"data": "x"},
+            "definitions": {"iou": "iou:oriented-symmetric:1"}, "provenance": {"code": "y"},
             "seeds": 1, "under_contract": True, "nonce": "00",
         },
         "format": FORMAT,
     }  # fmt: skip
-    row = {
-        "translation_error": 0.01, "rotation_error": 3.5, "iou": 0.9, "fscore_1cm": None,
-        "failure": None, "estimate": None, "repeats": "", "shape": None,
+    facts = {"position_m": 0.01, "rotation_deg": 3.5, "iou": 0.9, "fscore_1cm": None, "nad": None}
+    answer = {"facts": facts, "failure": None, "estimate": None}
+    row = {"answers": [answer], "shape": None}
+    none = facts | {
+        "position_m": float("inf"), "rotation_deg": float("inf"), "iou": float("-inf"),
     }  # fmt: skip
-    failed = row | {
-        "translation_error": float("inf"), "rotation_error": float("inf"),
-        "iou": float("-inf"), "failure": "not detected",
-    }  # fmt: skip
+    failed = {
+        "answers": [{"facts": none, "failure": "not detected", "estimate": None}],
+        "shape": None,
+    }
     contract = {
         "check": "c", "outcome": "passed", "demanded": True, "message": "", "known": False,
         "recorded": False,
@@ -369,12 +375,13 @@ def results() -> list[bytes]:
     return [made]
 
 
-FORMAT = 5
+FORMAT = 6
 
 
 def merged(path: Path) -> None:
     from pytest_cpas.evaluation import SampleError, merge
     from pytest_cpas.golden import RunTable
+    from pytest_cpas.golden.texts import table_texts
 
     for run in merge([path], allow_gaps=True):
         rows = []
@@ -383,32 +390,67 @@ def merged(path: Path) -> None:
                 rows.append(run.judge(ref))
             except SampleError:
                 continue
-        RunTable.of(run, rows).samples_csv()
+        table_texts(RunTable.of(run, rows))
 
 
-def goldens() -> list[bytes]:
+def a_table() -> Any:
+    """A golden table of four samples under three seeds."""
     from types import SimpleNamespace
 
-    from pytest_cpas.evaluation import Row
+    from pytest_cpas.evaluation import Answer, Row
+    from pytest_cpas.facts import fact
     from pytest_cpas.golden import RunTable
+    from pytest_cpas.protocols import shipped_protocol
 
+    names = ("position_m", "rotation_deg", "iou", "fscore_1cm", "nad")
     rows = [
         Row(
-            sample=f"a/{index}", category="mug", translation_error=0.01 * index,
-            rotation_error=3.0 * index, iou=0.5, fscore_1cm=None, failure=None, repeats="11-0 ----",
+            sample=f"a/{index}", category="mug",
+            answers=tuple(
+                Answer(facts=dict(zip(names, (0.01 * index, 3.0 * index + seed, 0.5, None, None), strict=True)))
+                for seed in range(3)
+            ),
         )
         for index in range(4)
     ]  # fmt: skip
     run: Any = SimpleNamespace(
         method="m", dataset="d", identity={"data": "x"}, provenance={"code": "y"},
-        listed={"mug": 4}, seeds=3,
+        definitions={name: fact(name).definition for name in names},
+        protocols=(shipped_protocol("cpas"),), samples=[], listed={"mug": 4}, seeds=3,
     )  # fmt: skip
-    table = RunTable.of(run, rows)
-    samples = table.samples_csv()
-    return [table.table_toml(samples).encode() + SEPARATOR + samples.encode()]
+    return RunTable.of(run, rows)
+
+
+def older_goldens() -> list[bytes]:
+    from older_tables import older_texts
+
+    texts = older_texts(a_table())
+    return [texts["table.toml"].encode() + SEPARATOR + texts["samples.csv"].encode()]
+
+
+def goldens() -> list[bytes]:
+    from pytest_cpas.golden.texts import table_texts
+
+    texts = table_texts(a_table())
+    return [SEPARATOR.join(texts[name].encode() for name in GOLDEN_FILES)]
+
+
+GOLDEN_FILES = ("run.toml", "facts.csv", "cpas.toml")
 
 
 def golden(path: Path) -> None:
+    from pytest_cpas.golden.files import read_golden
+
+    parts = path.read_bytes().split(SEPARATOR)
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        place = Path(folder) / "recorded" / "m" / "d"
+        place.mkdir(parents=True)
+        for name, part in zip(GOLDEN_FILES, parts, strict=False):
+            (place / name).write_bytes(part)
+        read_golden(place)
+
+
+def older_golden(path: Path) -> None:
     from pytest_cpas.golden.files import read_golden
 
     toml, _, samples = path.read_bytes().partition(SEPARATOR)
@@ -538,7 +580,8 @@ READERS: dict[str, Reader] = {
                              "pickle_limits.check_values")),
     "predictions": Reader(judged, predictions, ".npz", mutations=ARCHIVE),
     "results": Reader(merged, results, ".jsonl", mutations=(checksummed,) * 4),
-    "golden": Reader(golden, goldens, mutations=(matching,) * 4),
+    "golden": Reader(golden, goldens),
+    "older golden": Reader(older_golden, older_goldens, mutations=(matching,) * 4),
     "known": Reader(of("pytest_cpas.checks.known", "read_known", "metric", ["c"]), lambda: [KNOWN],
                     mutations=TEXT),
     "speed": Reader(of("pytest_cpas.timing.records", "read_record"), lambda: [SPEED],

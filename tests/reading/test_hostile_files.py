@@ -81,7 +81,7 @@ def test_what_is_no_file_is_refused_before_it_is_opened(kind, name, tmp_path):
 def test_golden_table_that_is_no_file(kind, file, tmp_path):
     place = tmp_path / "recorded" / "m" / "d"
     place.mkdir(parents=True)
-    toml, _, samples = fuzzing.goldens()[0].partition(fuzzing.SEPARATOR)
+    toml, _, samples = fuzzing.older_goldens()[0].partition(fuzzing.SEPARATOR)
     (place / "table.toml").write_bytes(toml)
     (place / "samples.csv").write_bytes(samples)
     assert len(read_golden(place).samples) == 4
@@ -235,7 +235,7 @@ def test_numbers_of_any_size_are_read_rightly(kind, tmp_path):
     run = StoredRun(path)
     assert [ref.category for ref in run.samples] == ["bowl", "mug"]
     for ref in run.samples:
-        assert run.judge(ref).translation_error == 0
+        assert run.judge(ref).facts["position_m"] == 0
         assert run.judge(ref).iou == pytest.approx(1, abs=0.01)
 
 
@@ -244,7 +244,7 @@ def test_names_with_slashes_are_names(tmp_path):
     path.write_bytes(arrays_with(frame=np.array(["a/b_0", "_1"])))
     run = StoredRun(path)
     assert [ref.id for ref in run.samples] == ["a/b/0/gt0", "1/gt0"]
-    assert all(run.judge(ref).translation_error == 0 for ref in run.samples)
+    assert all(run.judge(ref).facts["position_m"] == 0 for ref in run.samples)
 
 
 def test_pose_far_beyond_is_its_samples_fault(tmp_path):
@@ -257,7 +257,7 @@ def test_pose_far_beyond_is_its_samples_fault(tmp_path):
         SampleError, match=r"prediction 0 of scene_1_0000: the pose.*at most 1e[+]30"
     ):
         run.judge(run.samples[0])
-    assert run.judge(run.samples[1]).translation_error == 0
+    assert run.judge(run.samples[1]).facts["position_m"] == 0
 
 
 def test_small_file_does_not_become_a_large_one(tmp_path):
@@ -374,24 +374,36 @@ def cell(name, value):
     return lambda line: line["row"].__setitem__(name, value)
 
 
+def part(name, value):
+    """Of the answer under the first seed."""
+    return lambda line: line["row"]["answers"][0].__setitem__(name, value)
+
+
+def measured(name, value):
+    return lambda line: line["row"]["answers"][0]["facts"].__setitem__(name, value)
+
+
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (cell("translation_error", float("nan")), "translation_error is nan, expected a number"),
-        (cell("translation_error", float("inf")), "translation_error is inf"),
-        (cell("translation_error", "0.1"), "translation_error is '0.1'"),
-        (cell("rotation_error", None), "rotation_error is None"),
-        (cell("rotation_error", -1), "rotation_error is -1"),
-        (cell("rotation_error", 181), "rotation_error is 181, expected a number from 0 to 180"),
-        (cell("rotation_error", 10**400), "rotation_error is 1000"),
-        (cell("rotation_error", True), "rotation_error is True"),
-        (cell("iou", 1.5), "iou is 1.5, expected a number from 0 to 1"),
-        (cell("failure", 3), "failure is 3, expected a text"),
-        (cell("estimate", "bad!"), "estimate is 'bad!'"),
-        (cell("estimate", 7), "estimate is 7, expected a text"),
+        (measured("position_m", float("nan")), "position_m is nan, expected a number"),
+        (measured("position_m", float("inf")), "position_m is inf"),
+        (measured("position_m", "0.1"), "position_m is '0.1'"),
+        (measured("rotation_deg", None), "rotation_deg is None"),
+        (measured("rotation_deg", -1), "rotation_deg is -1"),
+        (measured("rotation_deg", 181), "rotation_deg is 181, expected a number from 0 to 180"),
+        (measured("rotation_deg", 10**400), "rotation_deg is 1000"),
+        (measured("rotation_deg", True), "rotation_deg is True"),
+        (measured("iou", 1.5), "iou is 1.5, expected a number from 0 to 1"),
+        (part("failure", 3), "failure is 3, expected a text"),
+        (part("estimate", "bad!"), "estimate is 'bad!'"),
+        (part("estimate", 7), "estimate is 7, expected a text"),
         (cell("shape", "AAAA"), "shape is 'AAAA'"),
-        (cell("repeats", "x"), "repeats is 'x'"),
-        (cell("more", 1), "row is .*, expected estimate, failure"),
+        (cell("answers", []), r"answers is \[\], expected one for each seed"),
+        (cell("answers", [3]), "answer is 3, expected estimate, facts, failure"),
+        (measured("fscore", 0.1), "there is no fact 'fscore'"),
+        (part("facts", 3), "facts is 3, expected a mapping"),
+        (cell("more", 1), "row is .*, expected answers, shape"),
         (lambda line: line.__setitem__("row", None), "row is None"),
         (lambda line: line.__setitem__("ref", ["a", "mug", 3, ""]), "ref is 3, expected a text"),
         (lambda line: line.__setitem__("ref", "a"), "ref is 'a'"),
@@ -418,7 +430,7 @@ def test_row_under_a_right_checksum(edit, words, tmp_path):
     ],
 )
 def test_golden_samples_under_a_right_digest(old, new, words, tmp_path):
-    toml, _, samples = fuzzing.goldens()[0].decode().partition(fuzzing.SEPARATOR.decode())
+    toml, _, samples = fuzzing.older_goldens()[0].decode().partition(fuzzing.SEPARATOR.decode())
     samples = samples.replace(old, new, 1)
     toml = re.sub('(?<=samples_sha256 = ")\\w+', hashlib.sha256(samples.encode()).hexdigest(), toml)
     place = tmp_path / "recorded" / "m" / "d"
