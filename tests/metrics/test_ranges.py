@@ -16,8 +16,11 @@ from pytest_cpas.metrics import (
     Detections,
     Errors,
     JointThreshold,
+    ModelPoints,
     Surface,
     SurfaceErrors,
+    add,
+    add_s,
     axis_aligned_box_iou,
     best_and_worst,
     count,
@@ -28,6 +31,8 @@ from pytest_cpas.metrics import (
     iou_auc,
     iou_plus,
     mean_over_categories,
+    mspd,
+    mssd,
     nocs_legacy_iou,
     oriented_iou,
     pose_vus,
@@ -36,14 +41,17 @@ from pytest_cpas.metrics import (
     sample_surface,
     surface_errors,
     symmetric_iou,
+    symmetry_rotations,
     translation_error,
 )
-from pytest_cpas.types import ContractError, Mesh, Pose, Symmetry
+from pytest_cpas.types import Camera, ContractError, Mesh, Pose, Symmetry
 
 EYE, ORIGIN, UNIT = np.eye(3), np.zeros(3), np.ones(3)
 POINTS = np.random.default_rng(0).random((100, 3))
 CORNER = Mesh(np.eye(3), np.array([[0, 1, 2]]))
 POSE = Pose(EYE, ORIGIN)
+ASIDE = Pose(EYE, [0.0, 0.1, 1.0])
+CAMERA = Camera(640, 480, 600.0, 600.0, 320.0, 240.0)
 ERRORS = Errors({"rotation_deg": [1.0, 2.0], "iou": [0.5, 0.7]})
 NARROW = JointThreshold(rotation_deg=1.5)
 BOXES: dict[str, Any] = {
@@ -173,6 +181,24 @@ CALLS: dict[str, list[tuple[Callable[..., Any], dict[str, Any]]]] = {
     "symmetric_iou": [
         (lambda s=s, **given: symmetric_iou(**given, symmetry=s), BOXES)
         for s in (Symmetry.none(), Symmetry.about([0, 1, 0]), Symmetry.full())
+    ],
+    "ModelPoints": [(lambda points: ModelPoints.of(points).diameter, {"points": POINTS})],
+    "add": [(lambda points: add(POSE, ASIDE, ModelPoints.of(points)), {"points": POINTS})],
+    "add_s": [(lambda points: add_s(POSE, ASIDE, ModelPoints.of(points)), {"points": POINTS})],
+    "mssd": [
+        (
+            lambda points: mssd(POSE, ASIDE, ModelPoints.of(points), Symmetry.none()),
+            {"points": POINTS},
+        )
+    ],
+    "mspd": [
+        (
+            lambda points: mspd(POSE, ASIDE, ModelPoints.of(points), Symmetry.none(), CAMERA),
+            {"points": POINTS},
+        )
+    ],
+    "symmetry_rotations": [
+        (lambda axis: symmetry_rotations(Symmetry.about(axis)), {"axis": [0, 1, 0]})
     ],
     "translation_error": [(translation_error, {"estimate": ORIGIN, "truth": UNIT})],
 }

@@ -407,7 +407,10 @@ def a_table() -> Any:
         Row(
             sample=f"a/{index}", category="mug",
             answers=tuple(
-                Answer(facts=dict(zip(names, (0.01 * index, 3.0 * index + seed, 0.5, None, None), strict=True)))
+                Answer(facts={
+                    "position_m": 0.01 * index, "rotation_deg": 3.0 * index + seed, "iou": 0.5,
+                    "fscore_1cm": None, "nad": None,
+                })
                 for seed in range(3)
             ),
         )
