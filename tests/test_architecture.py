@@ -80,6 +80,7 @@ ARROWS: Mapping[str, set[str]] = {
     "new_adapter": {"registry"},
     "plugin": {"session", "listing", "golden", "reading", "types"},
     "cli": {
+        "golden",
         "session",
         "fetching",
         "report",

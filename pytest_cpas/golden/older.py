@@ -25,6 +25,7 @@ from pytest_cpas.protocols import (
     judge_outcomes,
     shipped_protocol,
 )
+from pytest_cpas.reading.files import lines_of
 from pytest_cpas.reading.structured import parse_toml
 from pytest_cpas.reading.tables import csv_lines, real
 from pytest_cpas.types import DataError
@@ -104,7 +105,9 @@ def _samples(samples_csv: str, seeds: int) -> dict[str, TableSample]:
     samples: dict[str, TableSample] = {}
     number = 1
     try:
-        lines = csv_lines(OLDER_SAMPLES, io.StringIO(samples_csv, newline=""))
+        lines = csv_lines(
+            OLDER_SAMPLES, lines_of(io.StringIO(samples_csv, newline=""), OLDER_SAMPLES)
+        )
         if tuple(next(lines, (0, ()))[1]) != _COLUMNS:
             raise ValueError(f"expected the columns {', '.join(_COLUMNS)}")
         for number, line in lines:  # noqa: B007 - told if the line is wrong

@@ -28,6 +28,7 @@ from pytest_cpas.evaluation import Answer
 from pytest_cpas.facts import Fact, fact
 from pytest_cpas.golden.tables import GoldenError, RunTable, table_samples
 from pytest_cpas.protocols import Protocol, ProtocolError, RankedDetection, Ranking, ranking_columns
+from pytest_cpas.reading.files import lines_of
 from pytest_cpas.reading.structured import parse_toml
 from pytest_cpas.reading.tables import csv_lines, real
 from pytest_cpas.types import DataError
@@ -314,7 +315,7 @@ def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
 
 def _read_facts(text: str, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...]]]:
     """The category and the answers of each sample."""
-    lines = csv_lines(FACTS, io.StringIO(text, newline=""))
+    lines = csv_lines(FACTS, lines_of(io.StringIO(text, newline=""), FACTS))
     _, head = next(lines, (0, []))
     first, names, last = head[: len(_KEYS)], head[len(_KEYS) : -1], head[-1:]
     if (*first, *last) != (*_KEYS, _FAILURE):
@@ -352,7 +353,7 @@ def _number(text: str, made: Fact) -> float | None:
 
 def _read_ranking(text: str, stated: Mapping[str, Any], protocols: Sequence[Protocol]) -> Ranking:
     columns = len(ranking_columns(protocols))
-    lines = csv_lines(DETECTIONS, io.StringIO(text, newline=""))
+    lines = csv_lines(DETECTIONS, lines_of(io.StringIO(text, newline=""), DETECTIONS))
     if tuple(next(lines, (0, ()))[1]) != _DETECTION:
         raise ValueError(f"{DETECTIONS}: expected the columns {', '.join(_DETECTION)}")
     detections: dict[str, RankedDetection] = {}
