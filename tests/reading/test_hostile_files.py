@@ -236,7 +236,7 @@ def test_numbers_of_any_size_are_read_rightly(kind, tmp_path):
     assert [ref.category for ref in run.samples] == ["bowl", "mug"]
     for ref in run.samples:
         assert run.judge(ref).facts["position_m"] == 0
-        assert run.judge(ref).iou == pytest.approx(1, abs=0.01)
+        assert run.judge(ref).facts["iou"] == pytest.approx(1, abs=0.01)
 
 
 def test_names_with_slashes_are_names(tmp_path):
