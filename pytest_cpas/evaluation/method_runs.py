@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -49,7 +49,8 @@ class MethodError(Exception):
 
 
 class Loading:
-    """The loading of a method: when it is first needed, once for all runs that share it."""
+    """The loading of a method, and what is known of its weights: when it is first needed, once for
+    all runs that share it."""
 
     def __init__(self, method: Method, weights: Path | None, device: str) -> None:
         self._method, self._weights, self._device = method, weights, device
@@ -62,6 +63,16 @@ class Loading:
         except Exception as error:
             return error
         return None
+
+    @functools.cached_property
+    def declared_weights(self) -> Mapping[str, str]:
+        """Identity: a digest of the files that the method declares; nothing without any."""
+        return _weights_identity(self._method, self._weights)
+
+    @functools.cached_property
+    def undeclared_weights(self) -> Mapping[str, str]:
+        """Provenance: a digest of the folder of a method that declares nothing of it."""
+        return _undeclared_weights(self._method, self._weights)
 
 
 class MethodRun(Run):
@@ -99,7 +110,7 @@ class MethodRun(Run):
         self.provenance = {
             **self.provenance,
             **({} if method.info.deterministic else {"deterministic": "no"}),
-            **_undeclared_weights(method, weights),
+            **self.loading.undeclared_weights,
             **program_of(type(method)).facts(),
             "data_code": program_of(*readers_of(dataset)).code,
         }
@@ -126,7 +137,7 @@ class MethodRun(Run):
                 "data": dataset.digest,
                 "seed": str(seed),
                 "device": device,
-                **_weights_identity(method, weights),
+                **self.loading.declared_weights,
             },
             protocols=protocols,
         )

@@ -105,9 +105,10 @@ class CpasSession(SuiteSession):
                 timeout=sample_seconds(config),
             )
             runs = resolve_runs(options)
+            conftests = _conftests(config)
             for run in runs:
                 if isinstance(run, MethodRun):
-                    run.provenance = {**run.provenance, **_conftests(config)}
+                    run.provenance = {**run.provenance, **conftests}
             files = open_results(options, runs)
             self.stages = contract_stages(runs)
             others = read_others(options, runs) if self.is_controller else []
