@@ -24,7 +24,7 @@ from pytest_cpas.facts import fact
 from pytest_cpas.golden.pairing import Pairing, SharedColumn
 from pytest_cpas.golden.tables import RunTable, differences
 
-__all__ = ["Drift", "drifts", "is_same_platform"]
+__all__ = ["Drift", "drifts", "may_not_move"]
 
 #: What of a table's provenance says nothing about the machine that it was made on.
 _NOT_PLATFORM = (
@@ -42,14 +42,23 @@ class Drift:
     """How a fact moved in the samples of a category.
 
     ``moved``: name, before and after, of the samples whose fact moved by more than the tolerance;
-    ``worse`` and ``better``: the probability of as many worse (better) ones where nothing changed.
+    ``nets``: per scene how many more of them are worse than better.
     """
 
     fact: str
     moved: Sequence[tuple[str, float, float]]
     judged: int
-    worse: float
-    better: float
+    nets: Sequence[int]
+
+    @property
+    def worse(self) -> float:
+        """The probability of as many worse ones where nothing changed."""
+        return _tail(self.nets)
+
+    @property
+    def better(self) -> float:
+        """The same of better ones."""
+        return _tail([-net for net in self.nets])
 
     def told(self) -> str:
         """In words: how many samples, by how much, and the one that moved most."""
@@ -99,13 +108,12 @@ def drifts(
             scene = scenes.get(sample, sample)
             signs[scene] = signs.get(scene, 0) + sign
         if moved:
-            worse, better = _tails(list(signs.values()))
-            yield Drift(name, moved, judged, worse, better)
+            yield Drift(name, moved, judged, list(signs.values()))
 
 
-def _tails(nets: Sequence[int]) -> tuple[float, float]:
-    """The probability of a sum of at least that of ``nets``, and of at most, if the sign of each
-    is a fair coin; exact."""
+def _tail(nets: Sequence[int]) -> float:
+    """The probability of a sum of at least that of ``nets``, if the sign of each is a fair coin;
+    exact."""
     sizes = [abs(net) for net in nets]
     total = sum(sizes)
     ways = np.zeros(2 * total + 1)
@@ -113,18 +121,16 @@ def _tails(nets: Sequence[int]) -> tuple[float, float]:
     for size in sizes:
         if size:
             ways = (np.roll(ways, size) + np.roll(ways, -size)) / 2
-    seen = total + sum(nets)
-    return float(ways[seen:].sum()), float(ways[: seen + 1].sum())
+    return float(ways[total + sum(nets) :].sum())
 
 
-def is_same_platform(golden: RunTable, new: RunTable, category: str) -> bool:
-    """Whether a category was recorded on a machine like that of the run, as far as is told."""
+def may_not_move(golden: RunTable, new: RunTable, category: str) -> bool:
+    """Whether facts must be the same: a deterministic method, on a machine like that on which the
+    category was recorded, as far as is told."""
+    both = [table.provenance_of(category) for table in (golden, new)]
     then, now = (
-        {
-            key: told
-            for key, told in table.provenance_of(category).items()
-            if key not in _NOT_PLATFORM
-        }
-        for table in (golden, new)
+        {key: told for key, told in provenance.items() if key not in _NOT_PLATFORM}
+        for provenance in both
     )
-    return not differences(then, now)
+    deterministic = all(provenance.get("deterministic") != "no" for provenance in both)
+    return deterministic and not differences(then, now)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from scipy.special import bdtr
 
 from pytest_cpas.facts import SAME
-from pytest_cpas.golden.drift import Drift, drifts, is_same_platform
+from pytest_cpas.golden.drift import Drift, drifts, may_not_move
 from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn
 from pytest_cpas.golden.rankings import ranking_changes
 from pytest_cpas.golden.tables import RunTable
@@ -39,7 +39,7 @@ class Exact:
         flipped = [(flips, column) for column in self.columns if (flips := pairing.flips(column))]
         ties: list[tuple[Flips, SharedColumn]] = []
         changes = flipped
-        if not self._is_same_platform(pairing.category):
+        if not may_not_move(self.golden, self.new, pairing.category):
             real = [(pairing.without_ties(column, flips), column) for flips, column in flipped]
             changes = [(flips, column) for flips, column in real if flips]
             ties = [
@@ -74,13 +74,6 @@ class Exact:
         )
         word = Word.IMPROVED if only_gains else Word.CHANGED
         return to_record(word, pairing, [*lines, *drift], notes)
-
-    def _is_same_platform(self, category: str) -> bool:
-        """Whether facts may differ by nothing: a deterministic method where it was recorded."""
-        return all(
-            table.provenance_of(category).get("deterministic") != "no"
-            for table in (self.golden, self.new)
-        ) and is_same_platform(self.golden, self.new, category)
 
     def _borderline(
         self,
@@ -125,7 +118,7 @@ class Exact:
         """The verdict on facts that moved although nothing flipped; None if they may have."""
         if not moved:
             return None
-        if self._is_same_platform(pairing.category):
+        if may_not_move(self.golden, self.new, pairing.category):
             head = (
                 "nothing flipped, but on the platform of the recording facts moved by more than"
                 f" {SAME:g} of themselves:"
