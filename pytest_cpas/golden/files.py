@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -128,7 +128,8 @@ def _write(folder: Path, table: RunTable) -> None:
     :func:`_read` takes the others from where they are still waiting, should the writer die before
     they have got their places.
     """
-    texts = {name: text.encode() for name, text in table_texts(table).items()}
+    written = table_texts(table)
+    texts = {name: text.encode() for name, text in written.items()}
     run = texts.pop(RUN)
     digest = hashlib.sha256(run).hexdigest()
     _make(folder)
@@ -144,7 +145,7 @@ def _write(folder: Path, table: RunTable) -> None:
                 write_through(folder / f".file{_PART}", text)
                 (folder / f".file{_PART}").replace(_waiting(folder, digest, name))
         write_through(unfinished, run)
-        _check_readable(folder, unfinished, table)
+        _check_readable(folder, unfinished, table, written)
         sync_folder(folder)
         unfinished.replace(folder / RUN)
         sync_folder(folder)
@@ -154,13 +155,15 @@ def _write(folder: Path, table: RunTable) -> None:
     _settle(folder)
 
 
-def _check_readable(folder: Path, run: Path, table: RunTable) -> None:
-    """Read what is about to replace the old table; :class:`GoldenError` unless it is ``table``."""
+def _check_readable(folder: Path, run: Path, table: RunTable, written: Mapping[str, str]) -> None:
+    """Read what is about to replace the old table; :class:`GoldenError` unless it is ``table``, of
+    which ``written`` are the texts."""
     try:
-        again = _read_files(folder, _bytes(run))
+        texts = _read_texts(folder, _bytes(run))
+        again = parse_table(table.method, table.dataset, texts)
     except (OSError, DataError, GoldenError) as error:
         raise GoldenError(f"what would be recorded cannot be read back ({error})") from error
-    if table_texts(again) != table_texts(table) or again.samples != table.samples:
+    if texts != written or again.samples != table.samples:
         raise GoldenError("what would be recorded is not what is read back")
 
 
@@ -251,18 +254,19 @@ def _read(folder: Path) -> RunTable:
             _text(folder / name, _bytes(folder / name)) for name in (OLDER_TABLE, OLDER_SAMPLES)
         )
         return parse_older(folder.parent.name, folder.name, *older)
-    return _read_files(folder, _bytes(folder / RUN))
+    return parse_table(folder.parent.name, folder.name, _read_texts(folder, _bytes(folder / RUN)))
 
 
-def _read_files(folder: Path, run: bytes) -> RunTable:
-    """The files are those that wait for this ``run.toml``, else those in their places."""
+def _read_texts(folder: Path, run: bytes) -> dict[str, str]:
+    """The text of each file: of those that wait for this ``run.toml``, else of those in their
+    places."""
     digest = hashlib.sha256(run).hexdigest()
     texts = {RUN: _text(folder / RUN, run)}
     for name in file_names(texts[RUN]):
         waiting = _waiting(folder, digest, name)
         path = waiting if waiting.exists() else folder / name
         texts[name] = _text(folder / name, _bytes(path))
-    return parse_table(folder.parent.name, folder.name, texts)
+    return texts
 
 
 def _text(path: Path, content: bytes) -> str:
