@@ -21,12 +21,13 @@ from pytest_cpas.evaluation.results import (
     read_results,
 )
 from pytest_cpas.evaluation.results_file import ResultsFile
-from pytest_cpas.evaluation.rows import Answer, Row
+from pytest_cpas.evaluation.rows import Answer, Answered, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
 __all__ = [
     "Answer",
+    "Answered",
     "Estimates",
     "Header",
     "Limit",

@@ -8,7 +8,7 @@ from typing import Any
 
 from pytest_cpas.facts import Facts
 
-__all__ = ["Answer", "Row"]
+__all__ = ["Answer", "Answered", "Row"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +26,25 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Answered:
+    """A sample's category, and its answers, one per seed; the first is that of the run's own."""
+
+    category: str
+    answers: tuple[Answer, ...]
+
+    @property
+    def facts(self) -> Facts:
+        """Those of the first answer."""
+        return self.answers[0].facts
+
+    @property
+    def failure(self) -> str | None:
+        """Why the first answer is none."""
+        return self.answers[0].failure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row(Answered):
     """The answers for one sample, one per seed; the first is that of the run's own seed.
 
     ``shape``: the first one's shape for a picture, as of
@@ -34,8 +52,6 @@ class Row:
     """
 
     sample: str
-    category: str
-    answers: tuple[Answer, ...]
     shape: str | None = None
 
     @classmethod
@@ -47,16 +63,6 @@ class Row:
     def plain(self) -> dict[str, Any]:
         """As values of JSON, but for infinite facts."""
         return asdict(self)
-
-    @property
-    def facts(self) -> Facts:
-        """Those of the first answer."""
-        return self.answers[0].facts
-
-    @property
-    def failure(self) -> str | None:
-        """Why the first answer is none."""
-        return self.answers[0].failure
 
     @property
     def estimate(self) -> str | None:

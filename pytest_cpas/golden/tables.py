@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from pytest_cpas.evaluation import Answer, Row, Run
+from pytest_cpas.evaluation import Answer, Answered, Row, Run
 from pytest_cpas.facts import Facts, fact, in_order
 from pytest_cpas.protocols import (
     CountColumn,
@@ -37,26 +37,14 @@ class GoldenError(Exception):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TableSample:
+class TableSample(Answered):
     """What was answered for a sample, one answer per seed, and how that is judged.
 
     ``outcomes``: per seed a character for each column of the table that counts samples, as of
     :func:`pytest_cpas.protocols.judge_outcomes`.
     """
 
-    category: str
-    answers: tuple[Answer, ...]
     outcomes: tuple[str, ...]
-
-    @property
-    def facts(self) -> Facts:
-        """Those of the first seed."""
-        return self.answers[0].facts
-
-    @property
-    def failure(self) -> str | None:
-        """Why there is no answer under the first seed."""
-        return self.answers[0].failure
 
     @property
     def outcome(self) -> str:
