@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas.golden.exact import Exact, to_record
 from pytest_cpas.golden.jitter import answers_of, loss_words, luckiest
-from pytest_cpas.golden.pairing import Pairing, SharedColumn, shared_columns
+from pytest_cpas.golden.pairing import Pairing, SharedColumn, first_few, shared_columns
 from pytest_cpas.golden.spread import ALARM, DOUBT, Spread
 from pytest_cpas.golden.tables import RunTable, differences
 from pytest_cpas.golden.words import Word
@@ -223,17 +223,16 @@ class _Spread:
         recorded, run = answers.of(pairing.category, index)
         names = [name for name, there in zip(pairing.both, known, strict=True) if there]
         moved = run.mean(axis=1) - recorded.mean(axis=1)
+
+        def told(i: int) -> str:
+            then, now = recorded[i], run[i]
+            return f"{names[i]} {then.sum()} of {len(then)} -> {now.sum()} of {len(now)}"
+
         lines = []
         for what, sign in (("worse", -1), ("better", 1)):
             order = [i for i in np.argsort(-sign * moved, kind="stable") if sign * moved[i] > 0]
-            told = [
-                f"{names[i]} {recorded[i].sum()} of {recorded.shape[1]} -> {run[i].sum()} of"
-                f" {run.shape[1]}"
-                for i in order[:_NAMED]
-            ]
-            rest = f"; and {len(order) - _NAMED} more" if len(order) > _NAMED else ""
-            if told:
-                lines.append(f"    {what}, in seeds that are correct: {'; '.join(told)}{rest}")
+            if order:
+                lines.append(f"    {what}, in seeds that are correct: {first_few(order, told)}")
         return lines
 
     @functools.cached_property
@@ -275,9 +274,6 @@ class _Spread:
         words += f"; {loss or f'not even the loss of all would be improbable: {_MORE_SEEDS}'}"
         return Verdict(word, scope, words)
 
-
-#: Samples that are named before the rest is only counted.
-_NAMED = 8
 
 #: What makes smaller losses show.
 _MORE_SEEDS = "record more seeds, or judge under several (--cpas-jitter)"

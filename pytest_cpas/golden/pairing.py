@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from pytest_cpas.golden.tables import RunTable, TableSample
 from pytest_cpas.protocols import CountColumn
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["Flips", "Pairing", "SharedColumn", "shared_columns"]
+__all__ = ["Flips", "Pairing", "SharedColumn", "first_few", "shared_columns"]
 
-#: Samples that a message names before it only counts the rest.
+_T = TypeVar("_T")
+
+#: Samples or detections that a message names before it only counts the rest.
 _NAMED = 8
+
+
+def first_few(names: Sequence[_T], told: Callable[[_T], str] = str) -> str:
+    """The first names in words, and how many more there are."""
+    rest = len(names) - _NAMED
+    return "; ".join(map(told, names[:_NAMED])) + (f"; and {rest} more" if rest > 0 else "")
 
 
 @dataclass(frozen=True)
@@ -127,16 +135,11 @@ class Pairing:
             ("n/a changed", flips.not_applicable),
         ):
             if names:
-                lines.append(f"    {what}: {self._named(names)}")
+                lines.append(f"    {what}: {first_few(names, self._described)}")
         return lines
 
-    def _named(self, names: Sequence[str]) -> str:
-        told = [
-            f"{name} ({self.old[name].describe()} -> {self.new[name].describe()})"
-            for name in names[:_NAMED]
-        ]
-        rest = len(names) - len(told)
-        return "; ".join(told) + (f"; and {rest} more" if rest else "")
+    def _described(self, name: str) -> str:
+        return f"{name} ({self.old[name].describe()} -> {self.new[name].describe()})"
 
     @property
     def other_samples(self) -> list[str]:

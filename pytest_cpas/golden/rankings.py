@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from pytest_cpas.golden.pairing import first_few
 from pytest_cpas.golden.tables import RunTable
 from pytest_cpas.protocols import Ranking, RankingColumn
 
 __all__ = ["RankingChange", "ranking_changes"]
-
-#: Detections that a message names before it only counts the rest.
-_NAMED = 8
 
 #: Average precisions that differ by less are sums of the same numbers in another order.
 _SAME = 1e-12
@@ -76,6 +74,5 @@ def _moved(golden: Ranking, new: Ranking, category: str, index: tuple[int, int])
     lines = []
     for what, moved in sides.items():
         if moved:
-            rest = f"; and {len(moved) - _NAMED} more" if len(moved) > _NAMED else ""
-            lines.append(f"    {what}: {'; '.join(moved[:_NAMED])}{rest}")
+            lines.append(f"    {what}: {first_few(moved)}")
     return lines
