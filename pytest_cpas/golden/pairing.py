@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 from pytest_cpas.golden.tables import RunTable, TableSample
-from pytest_cpas.protocols import CountColumn
+from pytest_cpas.protocols import Column, CountColumn
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["Flips", "Pairing", "SharedColumn", "first_few", "shared_columns"]
+__all__ = ["Flips", "Pairing", "SharedColumn", "first_few", "mean_the_same", "shared_columns"]
 
 _T = TypeVar("_T")
 
@@ -45,10 +45,15 @@ def shared_columns(golden: RunTable, new: RunTable) -> list[SharedColumn]:
     return [
         SharedColumn(column, old[column.key][0], index)
         for index, column in enumerate(new.columns)
-        if column.key in old
-        and column.limits == old[column.key][1].limits
-        and all(golden.definitions.get(name) == new.definitions.get(name) for name in column.limits)
+        if column.key in old and mean_the_same(golden, new, old[column.key][1], column)
     ]
+
+
+def mean_the_same(golden: RunTable, new: RunTable, then: Column, now: Column) -> bool:
+    """Whether a column of either table judges alike, by facts of the same definition."""
+    return then.meaning == now.meaning and all(
+        golden.definitions.get(made.name) == new.definitions.get(made.name) for made in now.facts
+    )
 
 
 @dataclass(frozen=True)

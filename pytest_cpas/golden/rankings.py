@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from pytest_cpas.golden.pairing import first_few
+from pytest_cpas.golden.pairing import first_few, mean_the_same
 from pytest_cpas.golden.tables import RunTable
-from pytest_cpas.protocols import Ranking, RankingColumn
+from pytest_cpas.protocols import Ranking
 
 __all__ = ["RankingChange", "ranking_changes"]
 
@@ -29,7 +29,7 @@ def ranking_changes(golden: RunTable, new: RunTable, category: str) -> Iterator[
         return
     old = {column.key: (index, column) for index, column in enumerate(golden.ranking_columns)}
     for index, column in enumerate(new.ranking_columns):
-        if column.key not in old or not _is_same(column, old[column.key][1], golden, new):
+        if column.key not in old or not mean_the_same(golden, new, old[column.key][1], column):
             continue
         before, after = (t.scores.get(category, {}).get(column.key) for t in (golden, new))
         if before is None or after is None:
@@ -46,12 +46,6 @@ def ranking_changes(golden: RunTable, new: RunTable, category: str) -> Iterator[
             f" {after.samples} objects"
         )
         yield RankingChange(0.0 if abs(gain) < _SAME else gain, [head, *moved])
-
-
-def _is_same(one: RankingColumn, other: RankingColumn, golden: RunTable, new: RunTable) -> bool:
-    return one.declared() == other.declared() and all(
-        golden.definitions.get(made.name) == new.definitions.get(made.name) for made in one.facts
-    )
 
 
 def _moved(golden: Ranking, new: Ranking, category: str, index: tuple[int, int]) -> list[str]:

@@ -165,7 +165,7 @@ def _protocol_toml(table: RunTable, protocol: Protocol) -> str:
 
 def _protocol_head(protocol: Protocol) -> str:
     """What a protocol is, without a table's cells."""
-    head = {name: getattr(protocol, name) for name in ("name", "version", "title", "source")}
+    head = {key: value for key, value in protocol.declared().items() if key != "columns"}
     lines = [_TITLE, *_toml_lines(head)]
     for column in protocol.columns:
         lines += ["", "[[columns]]", *_toml_lines(column.declared())]

@@ -339,7 +339,7 @@ def _scores(value: ArrayLike, metric: str, name: str) -> Array:
     return values
 
 
-def _share_met(margins: Array, bins: int | None) -> Array:
+def share_met(margins: Array, bins: int | None) -> Array:
     """For each sample the share of thresholds in (0, 1) below its ``margin``.
 
     Exact, or of the middles of ``bins`` equal intervals.
@@ -369,7 +369,7 @@ def iou_auc(iou: ArrayLike, lower: float, *, bins: int | None = None) -> float |
         raise ContractError(f"iou_auc: lower is {lower}, expected 0 <= lower < 1")
     if len(values) == 0:
         return None
-    return float(np.mean(_share_met((values - lower) / (1 - lower), bins)))
+    return float(np.mean(share_met((values - lower) / (1 - lower), bins)))
 
 
 def pose_vus(
@@ -398,7 +398,7 @@ def pose_vus(
     # a sample's part of the volume is the product of the shares of thresholds that it meets
     return float(
         np.mean(
-            _share_met(1 - _quotient(rotation, max_rotation_deg), bins)
-            * _share_met(1 - _quotient(position, max_position_m), bins)
+            share_met(1 - _quotient(rotation, max_rotation_deg), bins)
+            * share_met(1 - _quotient(position, max_position_m), bins)
         )
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
@@ -35,7 +36,7 @@ class ProtocolError(ContractError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Column:
+class _Column(ABC):
     """What all kinds of columns have.
 
     ``protocol``: the name of the one that it belongs to; ``id``: what it is called in files, for
@@ -53,9 +54,15 @@ class _Column:
         """The id, among the columns of all protocols."""
         return f"{self.protocol}.{self.id}"
 
+    @property
+    @abstractmethod
+    def meaning(self) -> dict[str, object]:
+        """How it judges, whatever it is called: that part of :meth:`declared`."""
+
     def declared(self) -> dict[str, object]:
         """As the ``[[columns]]`` table of a file has it."""
-        return {"id": self.id, "label": self.label, **({"guard": True} if self.guard else {})}
+        guard = {"guard": True} if self.guard else {}
+        return {"id": self.id, "label": self.label, **guard, **self.meaning}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,9 +71,10 @@ class CountColumn(_Column):
 
     limits: Mapping[str, float]
 
-    def declared(self) -> dict[str, object]:
-        """As the ``[[columns]]`` table of a file has it."""
-        return {**super().declared(), "at": dict(self.limits)}
+    @property
+    def meaning(self) -> dict[str, object]:
+        """The limits."""
+        return {"at": dict(self.limits)}
 
     @property
     def conditions(self) -> list[tuple[Fact, float]]:
@@ -96,15 +104,15 @@ class ScoreColumn(_Column):
     levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     median: str = ""
 
-    def declared(self) -> dict[str, object]:
-        """As the ``[[columns]]`` table of a file has it."""
+    @property
+    def meaning(self) -> dict[str, object]:
+        """The statistic."""
         if self.median:
-            return {**super().declared(), "median": self.median}
+            return {"median": self.median}
         if self.levels:
-            levels = {name: list(limits) for name, limits in self.levels.items()}
-            return {**super().declared(), "levels": levels}
+            return {"levels": {name: list(limits) for name, limits in self.levels.items()}}
         area = {name: list(ends) for name, ends in self.areas.items()}
-        return {**super().declared(), "area": area, **({"bins": self.bins} if self.bins else {})}
+        return {"area": area, **({"bins": self.bins} if self.bins else {})}
 
     @property
     def facts(self) -> tuple[Fact, ...]:
@@ -129,10 +137,10 @@ class RankingColumn(_Column):
     limits: Mapping[str, float]
     matched: str = ""
 
-    def declared(self) -> dict[str, object]:
-        """As the ``[[columns]]`` table of a file has it."""
-        matched = {"matched": self.matched} if self.matched else {}
-        return {**super().declared(), "ap": dict(self.limits), **matched}
+    @property
+    def meaning(self) -> dict[str, object]:
+        """What is right, and what takes part."""
+        return {"ap": dict(self.limits), **({"matched": self.matched} if self.matched else {})}
 
     @property
     def facts(self) -> tuple[Fact, ...]:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from pytest_cpas.facts import Facts, fact, in_order
-from pytest_cpas.metrics.precision import Count
+from pytest_cpas.metrics.precision import Count, share_met
 from pytest_cpas.protocols.columns import (
     Column,
     CountColumn,
@@ -150,8 +150,5 @@ def _scores(column: ScoreColumn, known: _Known) -> Array:
         value = known[name]
         # thresholds run from start to stop; those on the worse side of the value are met
         met = (value - start if fact(name).better == "higher" else stop - value) / (stop - start)
-        met = np.clip(met, 0, 1)
-        if column.bins:  # those whose middle is below it
-            met = np.clip(np.ceil(met * column.bins - 0.5), 0, column.bins) / column.bins
-        share = share * met
+        share = share * np.where(np.isnan(met), np.nan, share_met(met, column.bins or None))
     return share
