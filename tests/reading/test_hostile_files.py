@@ -56,7 +56,7 @@ ODD = {
 OTHERWISE = {("speed", "nothing"), ("predictions", "folder"), ("predictions", "nothing")}
 
 #: Those that are handed a path; the others are about what is in a file.
-OF_PATHS = [name for name in fuzzing.READERS if name not in ("golden", "numbers")]
+OF_PATHS = [name for name in fuzzing.READERS if name not in ("golden", "older golden", "numbers")]
 
 
 @pytest.mark.parametrize("name", OF_PATHS)
@@ -77,13 +77,22 @@ def test_what_is_no_file_is_refused_before_it_is_opened(kind, name, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["pipe", "/dev/zero", "/dev/full", "folder"])
-@pytest.mark.parametrize("file", ["table.toml", "samples.csv"])
-def test_golden_table_that_is_no_file(kind, file, tmp_path):
+@pytest.mark.parametrize(
+    ("files", "made", "file"),
+    [
+        (files, made, file)
+        for files, made in (
+            (("table.toml", "samples.csv"), fuzzing.older_goldens),
+            (fuzzing.GOLDEN_FILES, fuzzing.goldens),
+        )
+        for file in files
+    ],
+)
+def test_golden_table_that_is_no_file(kind, files, made, file, tmp_path):
     place = tmp_path / "recorded" / "m" / "d"
     place.mkdir(parents=True)
-    toml, _, samples = fuzzing.older_goldens()[0].partition(fuzzing.SEPARATOR)
-    (place / "table.toml").write_bytes(toml)
-    (place / "samples.csv").write_bytes(samples)
+    for name, content in zip(files, made()[0].split(fuzzing.SEPARATOR), strict=True):
+        (place / name).write_bytes(content)
     assert len(read_golden(place).samples) == 4
     (place / file).unlink()
     odd(kind, place).rename(place / file)
