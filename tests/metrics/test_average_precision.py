@@ -81,7 +81,7 @@ class TestProtocol:
     ) -> None:
         detections = make(images, seed, ties=3)
         rng = np.random.default_rng(seed)
-        iou = rng.permutation(len(detections.pairs)) / 50
+        iou = rng.permutation(len(detections.pairs)) / max(50, len(detections.pairs))
         n, m = len(detections.scores), len(detections.true_category)
         image = [np.repeat(np.arange(len(images)), [i[k] for i in images]) for k in (0, 1)]
         p, g = rng.permutation(n), rng.permutation(m)

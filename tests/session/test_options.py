@@ -95,7 +95,7 @@ def test_runs_are_every_method_on_every_data_set():
     ]
     assert all(isinstance(run, MethodRun) and run.seeds == 2 for run in runs)
     assert [len(run.samples) for run in runs] == [6, 6]
-    assert read_others((), runs) == []
+    assert read_others(options, runs) == []
 
 
 @pytest.mark.parametrize(
