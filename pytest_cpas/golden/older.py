@@ -111,6 +111,8 @@ def _samples(samples_csv: str, seeds: int) -> dict[str, TableSample]:
         if tuple(next(lines, (0, ()))[1]) != _COLUMNS:
             raise ValueError(f"expected the columns {', '.join(_COLUMNS)}")
         for number, line in lines:  # noqa: B007 - told if the line is wrong
+            if len(line) != len(_COLUMNS):
+                raise ValueError(f"{len(line)} fields, expected {len(_COLUMNS)}")
             if line[0] in samples:
                 raise ValueError(f"sample {line[0]} is there twice")
             samples[line[0]] = _sample(line, seeds)

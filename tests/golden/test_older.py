@@ -120,6 +120,15 @@ def test_table_of_version_1_that_was_edited_is_refused(tmp_path):
         (folder / name).write_text(texts[name])
 
 
+@pytest.mark.parametrize("line", ["", " ", ",", "a,mug,1111,,0,0,1,1", "a,mug,1111,,0,0,1,1,,"])
+def test_line_of_another_length_is_refused(line):
+    for lines in ([*SAMPLES.splitlines(), line], [SAMPLES.splitlines()[0], line]):
+        samples = "\n".join([*lines, ""])
+        sha256 = hashlib.sha256(samples.encode()).hexdigest()
+        with pytest.raises(GoldenError, match=rf"samples.csv, line {len(lines)}.*expected 9"):
+            parse_older("icp", "d", TABLE.replace("SHA256", sha256), samples)
+
+
 def words(verdicts):
     return {verdict.category: verdict.word for verdict in verdicts}
 
