@@ -51,9 +51,11 @@ def largest_overlap(
     (N, 3) are half the extents; ``axis`` (3,) is a unit vector in B's frame; ``tolerance`` (N,) is
     the volume by which a result may fall short.
     """
-    best = np.empty(len(offset))
-    for start in range(0, len(offset), _CHUNK):
-        chunk = slice(start, start + _CHUNK)
+    best = np.zeros(len(offset))
+    reach = np.linalg.norm(half_a, axis=1) + np.linalg.norm(half_b, axis=1)
+    near = np.flatnonzero(np.linalg.norm(offset, axis=1) < reach)  # others never meet
+    for start in range(0, len(near), _CHUNK):
+        chunk = near[start : start + _CHUNK]
         spin = _Spin(rotation[chunk], offset[chunk], half_a[chunk], half_b[chunk], axis)
         best[chunk] = _search(spin, tolerance[chunk])
     return best
@@ -65,10 +67,10 @@ def _search(spin: _Spin, tolerance: Array) -> Array:
     low = nodes.ravel()
     width = np.diff(nodes, axis=1, append=nodes[:, :1] + spin.period).ravel()
     left = spin(pairs, low)
-    right = np.roll(left.reshape(2, *nodes.shape), -1, axis=2).reshape(2, -1)
+    right = np.roll(left.reshape(3, *nodes.shape), -1, axis=2).reshape(3, -1)
     best = left[0].reshape(nodes.shape).max(axis=1)
     while True:
-        bound, split = spin.bound(pairs, low, width, left, right)
+        bound, split = spin.bound(pairs, width, left, right)
         promising = bound > best[pairs] + tolerance[pairs]
         if not promising.any():
             return np.asarray(best)
@@ -119,25 +121,27 @@ class _Spin:
         return np.sort(np.concatenate([regular, aligned.reshape(len(regular), -1)], axis=1))
 
     def __call__(self, pairs: Index, angles: Array) -> Array:
-        """f and f' (2, M) of ``pairs`` with B turned by ``angles``."""
+        """f and f' of ``pairs`` with B turned by ``angles``, and how far the nearest alignment is:
+        (3, M)."""
         cosine, sine = np.cos(angles)[:, None, None], np.sin(angles)[:, None, None]
         pose = self.still[pairs] + cosine * self.level[pairs] + sine * self.ahead[pairs]
         rotation, offset = pose[:, :, :3].copy(), pose[:, :, 3].copy()
         volume, torque = overlap_and_torque(
             rotation, offset, self.half_a[pairs], self.half_b[pairs]
         )
-        return np.stack([volume, -torque @ self.axis])
+        distance = np.full(len(pairs), np.pi)
+        for alignments in self.alignments.T:
+            gaps = angles - alignments[pairs]
+            np.minimum(distance, np.abs(gaps - np.pi * np.rint(gaps / np.pi)), out=distance)
+        return np.stack([volume, -torque @ self.axis, distance])
 
-    def bound(
-        self, pairs: Index, low: Array, width: Array, left: Array, right: Array
-    ) -> tuple[Array, Array]:
-        """Upper bounds (M,) of f on intervals, and how far from ``low`` to split them."""
-        (f_left, slope_left), (f_right, slope_right) = left, right
+    def bound(self, pairs: Index, width: Array, left: Array, right: Array) -> tuple[Array, Array]:
+        """Upper bounds (M,) of f on intervals, and how far from their low ends to split them."""
+        (f_left, slope_left, gap_left), (f_right, slope_right, gap_right) = left, right
         rate = self.rate[pairs]
         tent = np.minimum((f_left + f_right + rate * width) / 2, self.cap[pairs])
         # no interval contains an alignment, so the distance is that of the nearer end
-        gaps = np.stack([low, low + width])[:, :, None] - self.alignments[pairs]
-        distance = np.abs(gaps - np.pi * np.round(gaps / np.pi)).min(axis=(0, 2))
+        distance = np.minimum(gap_left, gap_right)
         trusted = width <= np.minimum(_TRUSTED_RATIO * distance, self.trusted_width[pairs])
         rise, noise = f_right - f_left, 1e-13 * rate
         concave = (rise <= slope_left * width + noise) & (rise >= slope_right * width - noise)
