@@ -261,9 +261,23 @@ def meshes(kind: str) -> Callable[[], list[bytes]]:
         found = [box.export(file_type=kind)]
         if kind == "ply":
             found.append(box.export(file_type=kind, encoding="ascii"))
+            found.append(quads_in_ply())
+        if kind == "stl":
+            found.append(trimesh.exchange.stl.export_stl_ascii(box))
         return [each.encode() if isinstance(each, str) else each for each in found]
 
     return seeds
+
+
+def quads_in_ply() -> bytes:
+    """In bytes, with a triangle and a quadrilateral, so that rows are read one by one."""
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y"
+        "\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = (3, 0, 1, 2), (4, 0, 1, 2, 3)
+    faces = b"".join(struct.pack(f"<B{row[0]}i", *row) for row in rows)
+    return head.encode() + np.eye(4, 3).astype("<f4").tobytes() + faces
 
 
 def archives() -> list[bytes]:
@@ -540,6 +554,13 @@ SPEED = (
     b'[provenance]\n"cpu" = "y"\n[ratios]\n"a/0" = 1.5\n'
 )
 
+#: What reads the formats of meshes.
+MESHES = (
+    "mesh_texts.obj_mesh", "mesh_texts.off_mesh", "mesh_texts.polygon_triangles",
+    "mesh_binary.ply_mesh", "mesh_binary.stl_mesh", "mesh_rows.lines_of", "mesh_rows.corners",
+    "mesh_rows.fans", "mesh_rows.shown",
+)  # fmt: skip
+
 READERS: dict[str, Reader] = {
     "bytes": Reader(
         whole_file, lambda: [JSON], covers=("files.read_bytes", "files.read_text", "files.sha256",
@@ -572,7 +593,7 @@ READERS: dict[str, Reader] = {
                          covers=("images.image_size",)),
     **{
         kind: Reader(of(R + "meshes", "read_mesh"), meshes(kind), f".{kind}",
-                     mutations=() if kind == "stl" else TEXT, covers=("meshes.read_mesh",))
+                     mutations=TEXT, covers=("meshes.read_mesh", *MESHES))
         for kind in ("obj", "off", "ply", "stl")
     },
     "archive": Reader(unpacked, archives, mutations=(zip_fields,), covers=("archives.unpack",)),

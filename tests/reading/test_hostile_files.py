@@ -324,7 +324,7 @@ OBJ = {
     "NaN": (CORNERS.replace("1 0 0", "nan 0 0") + "f 1 2 3\n", "NaN or infinite"),
     "huge": (CORNERS.replace("1 0 0", "1e300 0 0") + "f 1 2 3\n", "at most 1e[+]30"),
     "fraction": (CORNERS + "f 1.5 2 3\n", "no integers"),
-    "mixed": (CORNERS + "vt 0 0\nf 1/1/1 2/0/2 3//3\n", "not read rightly|not a readable"),
+    "no vertex": (CORNERS + "f 1 2 /3\n", "line 4: a face has a corner without a vertex"),
     "empty": ("", "no triangles"),
 }
 
