@@ -30,7 +30,7 @@ _SELECTING = (*_METHOD, "--cpas-predictions", "--cpas-check-dataset")
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-report": _RUN,
     "--cpas-results": _RUN,
-    "--cpas-results-reuse": ("--cpas-results",),
+    "--cpas-results-reuse": ("--cpas-results", "--cpas-merge"),
     "--cpas-require-golden": _RUN,
     "--cpas-granularity": (*_RUN, "--cpas-check-dataset"),
     "--cpas-category": _SELECTING,
@@ -171,9 +171,10 @@ def add_options(parser: pytest.Parser) -> None:
         "--cpas-results-reuse",
         choices=("same", "any"),
         default="same",
-        help="which rows in --cpas-results are not computed again: those of the same program, told"
-        " by a digest of the method's sources and by the versions of what it imports, or those of"
-        " any (default: same)",
+        help="which rows in --cpas-results are not computed again, and which are judged together"
+        " by --cpas-merge: those of the same program, told by digests of the method's sources and"
+        " of the files around them and by the versions of what it imports, or those of any"
+        " (default: same)",
     )
     group.addoption(
         "--cpas-merge",

@@ -23,6 +23,7 @@ from pytest_cpas.evaluation.results import (
 from pytest_cpas.evaluation.results_file import ResultsFile
 from pytest_cpas.evaluation.rows import Answer, Answered, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.evaluation.surroundings import leave_out
 from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
 __all__ = [
@@ -52,6 +53,7 @@ __all__ = [
     "encode_estimate",
     "encode_shape",
     "found_programs",
+    "leave_out",
     "measure",
     "merge",
     "parse_seconds",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,6 +16,7 @@ from pytest_cpas.evaluation.results import (
     header_differences,
     program_differences,
     read_results,
+    together,
 )
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError
@@ -48,7 +50,10 @@ class MergedRun(Run):
         # of what the protocols need, the rows have what was measured then
         self.definitions = dict(header.definitions)
         self.listed = Counter(header.listed)
-        self.provenance = header.provenance
+        self.provenance = functools.reduce(together, (part.header.provenance for part in parts))
+        #: Whether more than one program computed the rows.
+        self.several_programs = any(program_differences(header, part.header) for part in parts)
+        self.files = functools.reduce(together, (part.header.files for part in parts))
         self.seeds = header.seeds
         self.robustness_point = RobustnessPoint.named(header.dataset)
         self.under_contract = header.under_contract
@@ -82,40 +87,45 @@ def merge(
     paths: Sequence[Path],
     *,
     allow_gaps: bool = False,
+    any_program: bool = False,
     protocols: Sequence[Protocol] | None = None,
 ) -> list[MergedRun]:
     """The runs whose shards are in ``paths``, one per method and data set.
 
     They are judged under ``protocols``, where the rows have the facts for that.
 
-    Raises :class:`ResultsError` for shards of different runs or conditions, for samples that are
-    in two files and, unless ``allow_gaps``, for shards or samples that are in none.
+    Raises :class:`ResultsError` for shards of different runs or conditions and, unless
+    ``any_program``, of different programs, for samples that are in two files and, unless
+    ``allow_gaps``, for shards or samples that are in none.
     """
     groups: dict[tuple[str, str], list[Results]] = {}
     for path in paths:
         results = read_results(path)
         groups.setdefault((results.header.method, results.header.dataset), []).append(results)
     for parts in groups.values():
-        _check_shards(parts, allow_gaps)
+        _check_shards(parts, allow_gaps, any_program)
     return [MergedRun(parts, protocols) for parts in groups.values()]
 
 
-def _check_shards(parts: Sequence[Results], allow_gaps: bool) -> None:
+def _check_shards(parts: Sequence[Results], allow_gaps: bool, any_program: bool) -> None:
     first = parts[0]
     seen: dict[str, Path] = {}
     shards: dict[int, Path] = {}
     for part in parts:
         shard, count = Shard.parse(part.header.shard), Shard.parse(first.header.shard).count
         same = replace(part.header, shard=first.header.shard, selected=first.header.selected)
-        differences = [
-            *header_differences(first.header, same),
-            *program_differences(first.header, same),
-        ]
+        differences = header_differences(first.header, same)
+        programs = [] if any_program else program_differences(first.header, same)
         if shard.count != count:
             differences.append(f"shards are {count}, now {shard.count}")
         if differences:
             raise ResultsError(
                 f"{first.path} and {part.path} are of different runs: {'; '.join(differences)}"
+            )
+        if programs:
+            raise ResultsError(
+                f"{first.path} and {part.path} were computed by different programs:"
+                f" {'; '.join(programs)}. --cpas-results-reuse=any judges them together"
             )
         if shard.index in shards:
             raise ResultsError(f"{shards[shard.index]} and {part.path} are both shard {shard}")

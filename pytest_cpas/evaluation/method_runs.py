@@ -14,6 +14,7 @@ from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
+from pytest_cpas.evaluation.surroundings import united
 from pytest_cpas.evaluation.watchdog import Limit, Limited
 from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
@@ -107,12 +108,14 @@ class MethodRun(Run):
         self.limit: Limit | None = None
         self.under_contract = shared is None
         self.info = method.info
+        programs = program_of(type(method)), program_of(*readers_of(dataset))
+        self.files = united(*(program.files for program in programs))
         self.provenance = {
             **self.provenance,
             **({} if method.info.deterministic else {"deterministic": "no"}),
             **self.loading.undeclared_weights,
-            **program_of(type(method)).facts(),
-            "data_code": program_of(*readers_of(dataset)).code,
+            **programs[0].facts(),
+            "data_code": programs[1].code,
         }
         self.quick_truth = dataset.quick_truth
         self.focal = dataset.camera.fx if dataset.camera else None

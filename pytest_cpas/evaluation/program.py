@@ -3,10 +3,11 @@
 Rows that one program computed say nothing of another one. :func:`program_of` follows the imports of
 a method's module, without running any, through everything that is its own: its distribution, the
 folders that it shares with others outside of ``site-packages``, extension modules, and the data
-files beside a module that its text names. Other distributions are known by their versions.
+files beside a module that its text names. Other distributions are known by their versions. What
+code reaches without an import is looked for in :mod:`pytest_cpas.evaluation.surroundings`.
 
-What cannot be seen this way: modules that are imported by a name computed at run time, files
-elsewhere, the machine's libraries.
+What cannot be seen either way: files elsewhere whose path is made while it runs, the machine's
+libraries.
 """
 
 from __future__ import annotations
@@ -21,16 +22,20 @@ import platform
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
+from pytest_cpas.evaluation.surroundings import digests_of, files_around, is_installed
 from pytest_cpas.reading.files import read_bytes, sha256
 
 __all__ = ["UNKNOWN", "Program", "found_programs", "program_of", "take_programs"]
 
 #: The digest of a program whose sources are not on a disk.
 UNKNOWN = "unknown"
+
+_DESCRIBE = ("describe", "--always", "--dirty=+")
 
 #: Seconds that git may take to tell the revision.
 _PATIENCE = 10.0
@@ -42,12 +47,14 @@ class Program:
 
     ``code``: a digest of its sources, or :data:`UNKNOWN`; ``packages``: name and version of the
     distributions that they import; ``revision``: that of the git repository they are in, with
-    ``+`` if it has changes, or "".
+    ``+`` if it has changes, or ""; ``files``: a digest of each source, and of each file around them
+    that may be code or settings, by name.
     """
 
     code: str
     packages: str
     revision: str
+    files: Mapping[str, str] = field(default_factory=dict)
 
     def facts(self) -> Mapping[str, str]:
         """As provenance has it."""
@@ -72,12 +79,12 @@ def program_of(*parts: type | Callable[..., object]) -> Program:
     return _handed.get(names) or _found[names]
 
 
-def found_programs() -> dict[str, dict[str, str]]:
+def found_programs() -> dict[str, dict[str, Any]]:
     """The programs that were looked for, as plain values for :func:`take_programs`."""
     return {name: asdict(program) for name, program in _found.items()}
 
 
-def take_programs(known: Mapping[str, Mapping[str, str]]) -> None:
+def take_programs(known: Mapping[str, Mapping[str, Any]]) -> None:
     """Take over what another process of the same run has looked for."""
     _handed.update({name: Program(**program) for name, program in known.items()})
 
@@ -101,7 +108,8 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Prog
     known = [source for source in sources if source in search.files]
     if not known or len(known) < len(sources):
         return Program(UNKNOWN, search.packages(), "")
-    return Program(search.digest(names), search.packages(), _revision(known[0]))
+    files = digests_of(files_around(search.files, search.texts, search.distributions()))
+    return Program(search.digest(names), search.packages(), _revision(known[0]), files)
 
 
 def _source_of(part: type | Callable[..., object]) -> Path | None:
@@ -116,8 +124,12 @@ class _Search:
     """The modules that are reached from some, and the distributions at whose border it ends."""
 
     def __init__(self) -> None:
-        #: Path and name of every file that is the program's own.
+        #: Path and name of every module that is the program's own.
         self.files: dict[Path, str] = {}
+        #: The same of the data files beside them.
+        self.data: dict[Path, str] = {}
+        #: The strings that each of the modules has.
+        self.texts: dict[Path, set[str]] = {}
         self._seen: set[str] = set()
         self._foreign: set[str] = set()
         self._installed = [
@@ -150,25 +162,26 @@ class _Search:
             if "." in name:
                 waiting.append(name.rpartition(".")[0])
             if path.suffix == ".py":
-                text = read_bytes(path)
-                is_package = path.stem == "__init__"
-                try:
-                    tree = ast.parse(text)
-                except SyntaxError:
-                    continue
-                waiting += _imports(tree, name, is_package)
-                self.files |= {file: f"{name}/{file.name}" for file in _named_files(tree, path)}
+                imports, texts = _told(read_bytes(path), name, path.stem == "__init__")
+                waiting += imports
+                self.texts[path] = texts
+                self.data |= {file: f"{name}/{file.name}" for file in _named_files(texts, path)}
 
     def _is_own(self, top: str, path: Path) -> bool:
         """Whether a file is the program's: of the same distribution, or not installed at all."""
-        if any(path.is_relative_to(folder) for folder in self._installed):
+        if is_installed(path) or any(path.is_relative_to(folder) for folder in self._installed):
             return bool(self._distributions.intersection(_distributions().get(top, ())))
         return True
+
+    def distributions(self) -> set[str]:
+        """Those that are the program's own and are not in a project's folder."""
+        return self._distributions if any(map(is_installed, self.files)) else set()
 
     def digest(self, name: str) -> str:
         """Of what is run, by name, and of the names and contents of all files."""
         total = hashlib.sha256(name.encode(errors="backslashreplace"))
-        for name, path in sorted((name, path) for path, name in self.files.items()):
+        files = {**self.files, **self.data}
+        for name, path in sorted((name, path) for path, name in files.items()):
             content = sha256(path)
             total.update(f"{name} {content}\n".encode(errors="backslashreplace"))
         return total.hexdigest()[:16]
@@ -209,6 +222,20 @@ def _place(file: Path) -> Path | None:
     return next((place for place in (file, *file.parents) if place.is_file()), None)
 
 
+@functools.lru_cache(maxsize=4096)
+def _told(text: bytes, module: str, is_package: bool) -> tuple[list[str], set[str]]:
+    """What a module may import, and every string that it has; nothing if it is no Python."""
+    try:
+        tree = ast.parse(text)
+    except SyntaxError:
+        return [], set()
+    constants = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant))
+    return (
+        list(_imports(tree, module, is_package)),
+        {value for value in constants if isinstance(value, str)},
+    )
+
+
 def _imports(tree: ast.Module, module: str, is_package: bool) -> Iterator[str]:
     """Every name that a module may import, wherever in it: modules, and what may be one."""
     package = module if is_package else module.rpartition(".")[0]
@@ -224,7 +251,7 @@ def _imports(tree: ast.Module, module: str, is_package: bool) -> Iterator[str]:
             if base:
                 yield base
                 yield from (f"{base}.{alias.name}" for alias in node.names if alias.name != "*")
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        elif isinstance(node, ast.Call) and _called(node).endswith("import_module"):
             yield from (
                 argument.value
                 for argument in node.args[:1]
@@ -234,23 +261,27 @@ def _imports(tree: ast.Module, module: str, is_package: bool) -> Iterator[str]:
             )
 
 
-def _named_files(tree: ast.Module, path: Path) -> Iterator[Path]:
+def _called(node: ast.Call) -> str:
+    """The last word of the name of what is called."""
+    return str(getattr(node.func, "attr", getattr(node.func, "id", "")))
+
+
+def _named_files(texts: Collection[str], path: Path) -> Iterator[Path]:
     """The files beside a module, or in folders there, that its text names: a table of priors."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            name = node.value
-            if 2 < len(name) < 100 and "." in name and not set(name) & set('\\\0\n:*?"<>|'):
-                file = path.parent / name
-                beside = ".." not in file.parts and not Path(name).is_absolute()
-                if beside and file.is_file() and file.suffix != ".py":
-                    yield file.resolve()
+    for name in texts:
+        if 2 < len(name) < 100 and "." in name and not set(name) & set('\\\0\n:*?"<>|'):
+            file = path.parent / name
+            beside = ".." not in file.parts and not Path(name).is_absolute()
+            if beside and file.is_file() and file.suffix != ".py":
+                yield file.resolve()
 
 
 def _revision(source: Path) -> str:
     """The commit that a file is of; "" where there is no repository, or no git."""
     try:
         told = subprocess.run(  # noqa: S603 - a fixed command
-            ["git", "-C", source.parent, "describe", "--always", "--dirty=+"],  # noqa: S607
+            # without the lock for its index, which a killed run would leave behind
+            ["git", "--no-optional-locks", "-C", source.parent, *_DESCRIBE],  # noqa: S607
             capture_output=True,
             text=True,
             timeout=_PATIENCE,

@@ -172,6 +172,7 @@ _HEADER: Mapping[str, Callable[[str, Any], Any]] = {
     "identity": texts,
     "definitions": texts,
     "provenance": texts,
+    "files": texts,
     "seeds": _seeds,
     "under_contract": _flag,
     "nonce": text,

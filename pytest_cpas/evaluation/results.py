@@ -20,6 +20,7 @@ from typing import Any
 from pytest_cpas.evaluation import result_lines
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run
+from pytest_cpas.evaluation.surroundings import changes
 from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.structured import json_value
 from pytest_cpas.types import DataError, SampleRef
@@ -32,9 +33,10 @@ __all__ = [
     "header_differences",
     "program_differences",
     "read_results",
+    "together",
 ]
 
-FORMAT = 6
+FORMAT = 7
 
 #: Largest file, bytes: a million rows have a third of it.
 LARGEST = 2**30
@@ -86,6 +88,7 @@ class Header:
     identity: Mapping[str, str]
     definitions: Mapping[str, str]
     provenance: Mapping[str, str]
+    files: Mapping[str, str]
     seeds: int
     under_contract: bool
     nonce: str
@@ -104,6 +107,7 @@ class Header:
             identity=dict(run.identity),
             definitions=dict(run.definitions),
             provenance=dict(run.provenance),
+            files=dict(run.files),
             seeds=run.seeds,
             under_contract=run.under_contract,
             nonce=secrets.token_hex(8),
@@ -175,7 +179,12 @@ def parse_results(path: Path, content: bytes) -> Results:
                 contract[found["check"]] = found
             elif "program" in value:
                 program = result_lines.texts("program", value["program"])
-                header = replace(header, provenance=_both(header.provenance, program))
+                files = result_lines.texts("files", value["files"])
+                header = replace(
+                    header,
+                    provenance=together(header.provenance, program),
+                    files=together(header.files, files),
+                )
             else:
                 ref = result_lines.ref(value["ref"])
                 if ref.id in rows:
@@ -204,12 +213,12 @@ def parse_results(path: Path, content: bytes) -> Results:
     )
 
 
-def _both(one: Mapping[str, str], other: Mapping[str, str]) -> Mapping[str, str]:
-    """The provenance of rows of which two programs have computed some."""
+def together(one: Mapping[str, str], other: Mapping[str, str]) -> Mapping[str, str]:
+    """The facts, or the files, of two programs that have both computed some of the rows."""
     both = {}
     for key in sorted({*one, *other}):
-        facts = [*one.get(key, "unknown").split(" and "), other.get(key, "unknown")]
-        both[key] = " and ".join(dict.fromkeys(facts))
+        facts = [part.get(key, "unknown").split(" and ") for part in (one, other)]
+        both[key] = " and ".join(dict.fromkeys([*facts[0], *facts[1]]))
     return both
 
 
@@ -227,7 +236,10 @@ def is_torn_header(content: bytes) -> bool:
 
 def program_differences(found: Header, expected: Header) -> list[str]:
     """In what the programs differ that two results files hold rows of; empty for the same one."""
-    return _differences(found.provenance, expected.provenance)
+    return [
+        *_differences(found.provenance, expected.provenance),
+        *changes(found.files, expected.files),
+    ]
 
 
 def header_differences(found: Header, expected: Header) -> list[str]:
@@ -235,7 +247,7 @@ def header_differences(found: Header, expected: Header) -> list[str]:
     empty for the same run."""
     old, new = asdict(found), asdict(expected)
     lines = []
-    for key in old.keys() - {"provenance", "nonce"}:
+    for key in old.keys() - {"provenance", "files", "nonce"}:
         before, now = old[key], new[key]
         if before != now and isinstance(before, dict):
             lines += _differences(before, now)

@@ -108,7 +108,8 @@ class ResultsFile:
             if self._size == 0:
                 self._write({"header": asdict(self.header), "format": FORMAT})
             elif self.another_program:
-                self._write({"program": dict(self.header.provenance)})
+                told = {"program": self.header.provenance, "files": self.header.files}
+                self._write({name: dict(facts) for name, facts in told.items()})
         except BaseException as error:
             self.__exit__()
             if isinstance(error, OSError):

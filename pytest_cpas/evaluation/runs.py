@@ -76,7 +76,8 @@ class Run(ABC):
 
     ``samples`` are those selected; ``listed`` counts per category what there was to select from.
     ``missing`` and ``damaged`` as for a data set. ``identity`` holds what must agree for two runs
-    to be comparable, ``provenance`` what else should be known of this one. ``seeds`` is how often
+    to be comparable, ``provenance`` what else should be known of this one, ``files`` a digest of
+    each file that may be part of the program. ``seeds`` is how often
     each sample is judged. ``info`` is what the method declares, None where only rows are left.
     ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
     ``robustness_point``: which point of the curves of a robustness profile it is, None for none.
@@ -86,6 +87,7 @@ class Run(ABC):
     """
 
     seeds = 1
+    files: Mapping[str, str] = {}
     under_contract = False
     info: MethodInfo | None = None
     quick_truth = True

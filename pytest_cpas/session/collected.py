@@ -106,7 +106,8 @@ class CollectedRun:
         new = len(self._rows.keys() - self._file.rows.keys()) if self._file else len(self._rows)
         parts = []
         if isinstance(self.run, MergedRun):
-            parts.append(f"merged {new}")
+            of = " of several programs" if self.run.several_programs else ""
+            parts.append(f"merged {new}{of}")
         elif new or not reused:
             parts.append(f"computed {new}")
         if self._file is not None and reused:

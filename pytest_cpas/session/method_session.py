@@ -25,6 +25,7 @@ from pytest_cpas.evaluation import (
     ResultsError,
     Run,
     found_programs,
+    leave_out,
     take_programs,
 )
 from pytest_cpas.golden import orphans
@@ -104,6 +105,7 @@ class CpasSession(SuiteSession):
                 ),
                 timeout=sample_seconds(config),
             )
+            leave_out(options.folders)
             runs = resolve_runs(options)
             conftests = _conftests(config)
             for run in runs:

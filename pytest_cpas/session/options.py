@@ -112,6 +112,12 @@ class RunOptions:
         return Shard(self.selection.shard, self.selection.shards)
 
     @property
+    def folders(self) -> list[Path]:
+        """What is read or written and holds no code: data, weights, tables, results and reports."""
+        named = (self.data, self.weights, self.golden, self.results, self.report)
+        return [folder for folder in named if folder is not None]
+
+    @property
     def only_for_pictures(self) -> bool:
         """Whether the data sets are there for the report's pictures of merged results."""
         return bool(self.datasets and self.merge and self.report)

@@ -147,7 +147,12 @@ def _method_runs(method: Method, dataset: Dataset, options: RunOptions) -> list[
 
 def _merged_runs(options: RunOptions, datasets: Sequence[Dataset]) -> list[MergedRun]:
     """The runs in results files, each with its data set if that is at hand."""
-    runs = merge(options.merge, allow_gaps=options.allow_gaps, protocols=options.protocols)
+    runs = merge(
+        options.merge,
+        allow_gaps=options.allow_gaps,
+        any_program=options.reuse_any,
+        protocols=options.protocols,
+    )
     for run, dataset in itertools.product(runs, datasets):
         if dataset.name == run.dataset:
             run.take_images(dataset)

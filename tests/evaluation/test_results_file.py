@@ -190,6 +190,22 @@ def test_reused_on_purpose_is_never_forgotten(tmp_path):
         assert not ResultsFile(tmp_path, a_run(code=code), WHOLE).rows
 
 
+def test_a_file_of_another_program_is_named(tmp_path):
+    def run(**files: str) -> Fixed:
+        made = a_run()
+        made.files = files
+        return made
+
+    write(tmp_path, rows()[:4], run(**{"a.py": "1", "b.py": "1"}))
+    assert len(ResultsFile(tmp_path, run(**{"a.py": "1", "b.py": "1"}), WHOLE).rows) == 4
+    other = run(**{"a.py": "2", "c.py": "1"})
+    told = "not reused 4 of another program (changed: a.py; new: c.py; gone: b.py)"
+    assert str(ResultsFile(tmp_path, other, WHOLE).set_aside) == told
+    path = write(tmp_path, rows(), other, reuse_any=True)
+    assert read_results(path).header.files["a.py"] == "1 and 2"
+    assert not ResultsFile(tmp_path, other, WHOLE).rows
+
+
 def test_another_revision_of_the_same_code_is_the_same_program(tmp_path):
     write(tmp_path, rows()[:4], a_run(revision="abc"))
     assert len(ResultsFile(tmp_path, a_run(revision="def+"), WHOLE).rows) == 4
@@ -212,8 +228,10 @@ def test_shards_of_two_programs_are_not_merged(tmp_path):
             for row in rows()[index - 1 :: 2]:
                 file.add(row)
         paths.append(file.path)
-    with pytest.raises(ResultsError, match="code was a, now b"):
+    with pytest.raises(ResultsError, match=r"different programs: code was a, now b\. --cpas-res"):
         merge(paths)
+    (run,) = merge(paths, any_program=True)
+    assert run.provenance["code"] == "a and b"
 
 
 def test_older_format_is_named(tmp_path):

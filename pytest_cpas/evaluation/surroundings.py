@@ -1,0 +1,307 @@
+"""The files around a program: what its code can reach by other ways than an import.
+
+A method may execute a file, run it in another process, load a library by its path, read a table of
+settings, or put a folder on ``sys.path`` while it runs. No import tells of that, so all files count
+that may be code or settings: those below the folder of the project that a module is in, those of
+the distributions that are its own, and the files and folders that its text names. What is left out,
+and where looking ends, is in docs/lab.md.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import os
+import re
+import tempfile
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from pytest_cpas.reading.files import opened, sha256
+from pytest_cpas.types import DataError
+
+__all__ = ["changes", "digests_of", "files_around", "is_installed", "leave_out", "united"]
+
+#: What is code, whoever runs it, by the end of its name.
+_CODE = re.compile(
+    r".*\.(py[cdwxz]?|pxd|so(\.\d+)*|dll|dylib|[ao]|(ba)?sh|bat|ps1|zip|egg|whl|c|cc|cpp|cxx|cuh?|h|hh"
+    r"|hpp|cl|glsl|ptx|lua|jl|m|r|pl|js|wasm)",
+    re.IGNORECASE | re.DOTALL,
+)
+
+#: What is read while code runs, settings and tables of numbers, or is code.
+_READ = re.compile(
+    r".*\.(json5?|ya?ml|toml|ini|cfg|conf|gin|env|xml|prototxt|pbtxt|np[yz]|pkl|pickle|pth?|ckpt|onnx"
+    rf"|h5|hdf5|safetensors|mat|joblib|bin)|{_CODE.pattern}",
+    re.IGNORECASE | re.DOTALL,
+)
+
+_ARCHIVES = frozenset({".zip", ".egg", ".whl", ".pyz"})
+
+#: What marks the folder of a project.
+_MARKS = (".git", "pyproject.toml", "setup.py", "setup.cfg")
+
+#: Folders that hold other people's code, or none.
+_NEVER = frozenset({"__pycache__", "site-packages", "dist-packages", "node_modules"})
+
+#: Folders, and files, that are about a method and no part of it, unless its text names them.
+_ASIDE = frozenset({"tests", "test", "docs", "doc"})
+_TOOLS = re.compile(
+    r"test_.*\.py|.*_test\.py|conftest\.py|setup\.(py|cfg)|pyproject\.toml|noxfile\.py"
+    r"|(pytest|tox)\.ini|mkdocs\.yml|(.*\.)?known\.toml"
+)
+
+#: What lies together in a folder that this plugin has written, or that is a virtual environment.
+_WRITTEN = (
+    frozenset({"report.html", "report.json"}),
+    frozenset({"run.toml", "facts.csv"}),
+    frozenset({"table.toml", "samples.csv"}),
+    frozenset({"pyvenv.cfg"}),
+    frozenset({"conda-meta"}),
+)
+
+#: Below one folder, nearest first: entries that are looked at, and files that count.
+_MOST_ENTRIES, _MOST_FILES = 20_000, 2_000
+
+#: Bytes of a file up to which all of it counts, and of all files together. Of a larger file its
+#: size and some pieces count; beyond all of them, the size.
+_WHOLE, _ALL = 2**23, 2**28
+_PIECES, _PIECE = 64, 2**16
+
+#: Longest text that may be a path, and what is none.
+_LONGEST_PATH = 200
+_NO_PATH = re.compile(r"[\0\n\t*?\"<>|{}$]|^\W*$")
+
+#: Folders whose files are known by other digests, or are written by the run.
+_left_out: set[Path] = set()
+
+
+def leave_out(folders: Iterable[Path]) -> None:
+    """Do not look into these: data and weights have digests of their own, results are written."""
+    for folder in folders:
+        with suppress(OSError, RuntimeError):
+            _left_out.add(folder.resolve())
+
+
+def is_installed(path: Path) -> bool:
+    """Whether a file belongs to a distribution that is installed, not to somebody's project."""
+    return not {"site-packages", "dist-packages"}.isdisjoint(path.parts)
+
+
+def files_around(
+    own: Mapping[Path, str], texts: Mapping[Path, Collection[str]], distributions: Iterable[str]
+) -> dict[Path, str]:
+    """All files of a program, each with a name that does not depend on where it lies.
+
+    ``own``: the modules that imports lead to, by name; ``texts``: what strings each of them has;
+    ``distributions``: those that are installed and are the program's own.
+    """
+    look = _Look(own, texts)
+    for name in distributions:
+        look.at_distribution(name)
+    for path, module in own.items():
+        if is_installed(path):
+            look.found.setdefault(path, module)
+            continue
+        wide, base = _roots(path, module)
+        look.name(path, wide)
+        if module.partition(".")[0] != "pytest_cpas":  # whose imports are all there is
+            look.into(wide)
+            look.into(base, within=wide)
+            look.at_names(path)
+    return look.found
+
+
+class _Look:
+    """The files found so far, and what has been looked into."""
+
+    def __init__(self, own: Mapping[Path, str], texts: Mapping[Path, Collection[str]]) -> None:
+        self.found: dict[Path, str] = {}
+        self._own, self._texts = own, texts
+        self._holding = {folder for path in own for folder in path.parents}
+        self._words = {
+            part for parts in texts.values() for text in parts for part in re.split(r"[/\\]", text)
+        }
+        self._seen: set[tuple[Path, bool]] = set()
+        self._tried: set[Path] = set()
+
+    def name(self, path: Path, root: Path) -> None:
+        """Take a file in, under its name below ``root``."""
+        self.found.setdefault(path, path.relative_to(root).as_posix())
+
+    def into(self, root: Path, *, within: Path | None = None, only_code: bool = False) -> None:
+        """Take in what counts below a folder, as far as that is looked at: the nearest first.
+
+        Names are relative to ``within``, or to ``root``.
+        """
+        if (root, only_code) in self._seen:
+            return
+        self._seen.add((root, only_code))
+        kinds = _CODE if only_code else _READ
+        entries = files = 0
+        level = [root]
+        while level:
+            below = []
+            for folder in level:
+                there = _entries(folder)
+                names = {entry.name for entry in there}
+                if folder not in self._holding and any(some <= names for some in _WRITTEN):
+                    continue
+                entries += len(there)
+                for entry in there:
+                    path = Path(entry.path)
+                    if _is_folder(entry):
+                        below += [path] if self._is_entered(path) else []
+                    elif kinds.fullmatch(path.name) and self._counts(path) and _is_file(entry):
+                        self.name(path, within or root)
+                        files += 1
+                if entries > _MOST_ENTRIES or files > _MOST_FILES:
+                    return
+            level = [] if root in _everybodys() else below
+
+    def at_names(self, module: Path) -> None:
+        """Take in the files and folders that the text of a module names: from the folder it is in,
+        from where the process was started, or from the root of the file system."""
+        for text in self._texts.get(module, ()):
+            if len(text) > _LONGEST_PATH or _NO_PATH.search(text):
+                continue
+            for start in (module.parent, Path.cwd()):
+                path = start / text
+                if path in self._tried:
+                    continue
+                self._tried.add(path)
+                with suppress(OSError, ValueError, RuntimeError):
+                    self._at_name(path, text)
+
+    def _at_name(self, path: Path, text: str) -> None:
+        if path.is_file():
+            if _READ.fullmatch(path.name):
+                self.found.setdefault(path.resolve(), text)
+        elif path.is_dir():
+            path = path.resolve()
+            if self._is_entered(path) and path not in _everybodys():
+                self.into(path, only_code=True)
+
+    def at_distribution(self, name: str) -> None:
+        """Take in what counts of the files that were installed with a distribution."""
+        for file in importlib.metadata.files(name) or ():
+            path = Path(str(file.locate()))
+            if _READ.fullmatch(path.name) and _NEVER.isdisjoint(file.parts) and path.is_file():
+                self.found.setdefault(path.resolve(), file.as_posix())
+
+    def _is_entered(self, folder: Path) -> bool:
+        name = folder.name
+        if folder in self._holding:
+            return True
+        if name.startswith(".") or name in _NEVER or folder in _left_out:
+            return False
+        return name not in _ASIDE or name in self._words
+
+    def _counts(self, path: Path) -> bool:
+        return path in self._own or path.name in self._words or not _TOOLS.fullmatch(path.name)
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(entries, key=lambda entry: entry.name)
+    except OSError:
+        return []
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    """Whether it is a folder; a link to one is if there is code in it: others lead to data."""
+    if entry.is_symlink():
+        linked = os.path.isdir(entry.path)
+        return linked and any(seen.name.endswith(".py") for seen in _entries(Path(entry.path)))
+    return entry.is_dir()
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_file()
+    except OSError:
+        return False
+
+
+@functools.cache
+def _everybodys() -> frozenset[Path]:
+    """Folders that are nobody's project."""
+    places = [Path(tempfile.gettempdir()).resolve()]
+    with suppress(RuntimeError, OSError):
+        places.append(Path.home().resolve().parent)
+    return frozenset(folder for place in places for folder in (place, *place.parents))
+
+
+def _roots(path: Path, module: str) -> tuple[Path, Path]:
+    """The folder of the project that a module's file is in, and that of its outermost package, or
+    of the file if it is in none."""
+    levels = module.count(".") + (path.stem == "__init__")
+    archive = path.suffix.lower() in _ARCHIVES
+    base = path.parent if archive or not levels else path.parents[levels - 1]
+    # what it is imported from, unless that is said otherwise
+    start = base if base == path.parent and not levels else base.parent
+    places = [start, *start.parents]
+    theirs = [*_everybodys(), Path(os.path.realpath(os.path.expanduser("~")))]
+    places = [place for place in places if place not in theirs]
+    marked = [place for place in places if any((place / mark).exists() for mark in _MARKS)]
+    repositories = [place for place in marked if (place / ".git").exists()]
+    return [*repositories[-1:], *marked[:1], *places[:1], base][0], base
+
+
+def digests_of(files: Mapping[Path, str]) -> dict[str, str]:
+    """A digest of each file by name; of those of the same name together."""
+    sizes = {path: size for path in files if (size := _size(path)) is not None}
+    digests = defaultdict(list)
+    total = 0
+    for path in sorted(sizes, key=lambda path: (sizes[path], files[path])):
+        total += min(sizes[path], _WHOLE)
+        told = f"{sizes[path]} bytes" if total > _ALL else _digest(path, sizes[path])
+        digests[files[path]].append(told)
+    return {name: " ".join(sorted(set(told))) for name, told in sorted(digests.items())}
+
+
+def _size(path: Path) -> int | None:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return None
+
+
+def _digest(path: Path, size: int) -> str:
+    try:
+        if size <= _WHOLE:
+            return sha256(path)[:16]
+        digest = hashlib.sha256(str(size).encode())
+        with opened(path, 2**50) as file:
+            for index in range(_PIECES):
+                file.seek(index * (size - _PIECE) // (_PIECES - 1))
+                digest.update(file.read(_PIECE))
+        return digest.hexdigest()[:16]
+    except (DataError, OSError):
+        return "unreadable"
+
+
+def united(*parts: Mapping[str, str]) -> dict[str, str]:
+    """The digests of several programs, those of the same name together."""
+    told: dict[str, set[str]] = defaultdict(set)
+    for part in parts:
+        for name, digest in part.items():
+            told[name] |= {digest}
+    return {name: " ".join(sorted(digests)) for name, digests in sorted(told.items())}
+
+
+def changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
+    """Which files are others, in words: at most three of each kind are named."""
+    kinds = {
+        "changed": sorted(name for name in before.keys() & now.keys() if before[name] != now[name]),
+        "new": sorted(now.keys() - before.keys()),
+        "gone": sorted(before.keys() - now.keys()),
+    }
+    for kind, names in kinds.items():
+        if names:
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            yield f"{kind}: {', '.join(names[:3])}{more}"
