@@ -584,7 +584,7 @@ READERS: dict[str, Reader] = {
     "npz": Reader(of(R + "arrays", "read_npz"), arrays, mutations=ARCHIVE,
                   covers=("arrays.read_npz",)),
     "rgb": Reader(of(R + "images", "read_rgb", CAMERA), images("RGB"), mutations=(png_chunks,),
-                  covers=("images.read_rgb",)),
+                  covers=("images.read_rgb", "png.png_parts", "png.check_rows")),
     "depth": Reader(of(R + "images", "read_depth", CAMERA), images("I;16"), ".png",
                     mutations=(png_chunks,), covers=("images.read_depth",)),
     "ids": Reader(of(R + "images", "read_ids", CAMERA), images("L"), mutations=(png_chunks,),
