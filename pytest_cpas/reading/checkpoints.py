@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import warnings
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from pytest_cpas.reading.files import opened
+from pytest_cpas.reading.pickle_walk import walk
 from pytest_cpas.types import DataError
 
 #: Largest checkpoint, bytes.
@@ -15,6 +17,12 @@ LARGEST_CHECKPOINT = 2**34
 
 #: By how much the members of a checkpoint may exceed the file, which torch never compresses, bytes.
 _MARGIN = 2**20
+
+#: Bytes of what is not tensors: 10,000 of them have two million.
+_LARGEST_PICKLES = 2**26
+
+#: Before torch 1.6 a file was so many pickles, and then the tensors.
+_OLD_PICKLES = 5
 
 
 def read_tensors(path: Path) -> Any:
@@ -29,12 +37,21 @@ def read_tensors(path: Path) -> Any:
         size = file.seek(0, 2)
         file.seek(0)
         try:
-            _check_size(path, file, size)
+            _check(path, file, size)
             file.seek(0)
             with warnings.catch_warnings():
                 # of another pickle protocol; what it cannot read raises
                 warnings.simplefilter("ignore", UserWarning)
-                return torch.load(file, map_location="cpu", weights_only=True)
+                content = torch.load(file, map_location="cpu", weights_only=True)
+            for tensor in _tensors(content, torch.Tensor):
+                dense = tensor.layout == torch.strided and not tensor.is_meta
+                needs = tensor.numel() * tensor.element_size()
+                if not dense or needs > size:
+                    raise DataError(
+                        f"{path}: a tensor of shape {tuple(tensor.shape)} needs {needs} bytes, and"
+                        f" the file has {size}; expected tensors that hold all of their values"
+                    )
+            return content
         except DataError:
             raise
         except Exception as error:  # torch's unpickler takes the end of a torn file as it comes
@@ -46,9 +63,49 @@ def read_tensors(path: Path) -> Any:
             ) from error
 
 
-def _check_size(path: Path, file: Any, size: int) -> None:
-    if zipfile.is_zipfile(file):
-        with zipfile.ZipFile(file) as archive:
-            total = sum(info.file_size for info in archive.infolist())
+def _tensors(content: Any, kind: type) -> Iterator[Any]:
+    """The tensors in plain containers, each container once."""
+    seen: set[int] = set()
+    left = [content]
+    while left:
+        value = left.pop()
+        if isinstance(value, kind):
+            yield value
+        elif isinstance(value, dict | list | tuple) and id(value) not in seen:
+            seen.add(id(value))
+            left += value.values() if isinstance(value, dict) else value
+
+
+def _check(path: Path, file: BinaryIO, size: int) -> None:
+    """Raise :class:`DataError` for what would keep torch busy, or fill the memory."""
+    if not zipfile.is_zipfile(file):
+        file.seek(0)
+        _walk(f"{path}", file.read(_LARGEST_PICKLES), _OLD_PICKLES)
+        return
+    with zipfile.ZipFile(file) as archive:
+        infos = archive.infolist()
+        total = sum(info.file_size for info in infos)
         if total > size + _MARGIN:
             raise DataError(f"{path}: it would unpack to {total} bytes, from {size}; a bomb?")
+        if len({info.filename for info in infos}) < len(infos):
+            raise DataError(f"{path}: a member is there twice; fetch it again")
+        for info in infos:
+            if info.filename.rpartition("/")[2] == "data.pkl":
+                if info.file_size > _LARGEST_PICKLES:
+                    raise DataError(
+                        f"{path}, {info.filename}: {info.file_size} bytes, at most"
+                        f" {_LARGEST_PICKLES} are read"
+                    )
+                _walk(f"{path}, {info.filename}", archive.read(info), 1)
+
+
+def _walk(where: str, content: bytes, count: int) -> None:
+    """Go through so many pickles, one after the other."""
+    at = 0
+    try:
+        for _ in range(count):
+            at = walk(content, at)
+    except DataError as error:
+        raise DataError(
+            f"{where}: {error}; a checkpoint of tensors alone was expected. Fetch it again"
+        ) from None

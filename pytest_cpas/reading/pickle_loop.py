@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 from pytest_cpas.reading.pickle_arrays import Unfilled
 from pytest_cpas.reading.pickle_limits import MAX_MARKS, MAX_STEPS, Damaged, check_values
 from pytest_cpas.reading.pickle_machine import Machine
-from pytest_cpas.reading.pickle_opcodes import OPCODES
+from pytest_cpas.reading.pickle_opcodes import OPCODES, Opcode
 from pytest_cpas.types import DataError
 
 
@@ -16,7 +17,12 @@ def unpickle(content: bytes) -> Any:
     """The value that a pickle holds; :class:`DataError` says at which byte what is wrong."""
     machine = Machine(content)
     try:
-        value = _run(machine)
+        value = carried_out(machine, OPCODES)
+        if machine.next != len(content):
+            raise DataError(
+                f"it ends, and {len(content) - machine.next} bytes follow; expected one pickle in"
+                " the file"
+            )
         check_values(value)
         return value
     except Damaged as error:
@@ -28,14 +34,14 @@ def unpickle(content: bytes) -> Any:
         raise DataError(f"at byte {machine.at}, {error}") from None
 
 
-def _run(machine: Machine) -> Any:
-    """Carry out one opcode after the other.
+def carried_out(machine: Machine, opcodes: Sequence[Opcode | None]) -> Any:
+    """The value of the pickle that begins at ``machine.next``, which is where it ends afterwards.
 
     What arrays and long lists are mostly made of is done here, for speed, if all that it takes is
     there; the table of opcodes does the rest, and says what is missing.
     """
     content, stack, marked, memo = machine.content, machine.stack, machine.marked, machine.memo
-    at, end = 0, len(content) - 9  # after which what follows an opcode may be missing
+    at, end = machine.next, len(content) - 9  # after which what follows an opcode may be missing
     for _ in range(MAX_STEPS):
         code = content[at] if at < end else 0
         match code:
@@ -88,7 +94,7 @@ def _run(machine: Machine) -> Any:
                     raise Damaged("it ends without the opcode STOP")
                 code = content[at]
                 machine.at, machine.next, machine.stack = at, at + 1, stack
-                carry_out = OPCODES[code]
+                carry_out = opcodes[code]
                 if carry_out is None:
                     return _stop(machine, code)
                 carry_out(machine)
@@ -107,9 +113,4 @@ def _stop(machine: Machine, code: int) -> Any:
         raise Damaged(f"there is no opcode {bytes([code])!r}")
     if len(machine.stack) != 1 or machine.marked:
         raise Damaged(f"{len(machine.stack)} values are left at its end, expected one")
-    if machine.next != len(machine.content):
-        raise DataError(
-            f"it ends, and {len(machine.content) - machine.next} bytes follow; expected one pickle"
-            " in the file"
-        )
     return machine.stack[0]

@@ -20,11 +20,11 @@ class Machine:
 
     __slots__ = ("at", "budget", "content", "marked", "memo", "next", "stack")
 
-    def __init__(self, content: bytes) -> None:
-        """Nothing is read yet."""
+    def __init__(self, content: bytes, begin: int = 0) -> None:
+        """Nothing is read yet, and reading begins at byte ``begin``."""
         self.content = content
-        self.at = 0  # where the opcode is that is carried out
-        self.next = 0  # where what follows it begins
+        self.at = begin  # where the opcode is that is carried out
+        self.next = begin  # where what follows it begins
         self.stack: list[Any] = []
         self.marked: list[list[Any]] = []  # what lies below each MARK
         self.memo: dict[int, Any] = {}

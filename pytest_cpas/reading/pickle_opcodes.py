@@ -26,13 +26,13 @@ from pytest_cpas.types import DataError
 
 _MAX_PROTOCOL = 5
 
-_Opcode = Callable[[Machine], None]
+Opcode = Callable[[Machine], None]
 #: What each byte does; nothing but STOP, which ends the loop, and bytes that are no opcode.
-OPCODES: list[_Opcode | None] = [None] * 256
+OPCODES: list[Opcode | None] = [None] * 256
 
 
-def _opcode(code: bytes) -> Callable[[_Opcode], _Opcode]:
-    def register(function: _Opcode) -> _Opcode:
+def _opcode(code: bytes) -> Callable[[Opcode], Opcode]:
+    def register(function: Opcode) -> Opcode:
         OPCODES[code[0]] = function
         return function
 

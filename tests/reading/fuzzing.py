@@ -598,11 +598,12 @@ READERS: dict[str, Reader] = {
     },
     "archive": Reader(unpacked, archives, mutations=(zip_fields,), covers=("archives.unpack",)),
     "tensors": Reader(of(R + "checkpoints", "read_tensors"), tensors, mutations=(zip_fields,),
-                      covers=("checkpoints.read_tensors",)),
+                      covers=("checkpoints.read_tensors", "pickle_walk.walk")),
     "pickle": Reader(of(R + "pickles", "load_numpy_pickle"),
                      lambda: [__import__("pickle").dumps({"a": np.eye(3), "b": [1, "x"]}, protocol)
                               for protocol in range(6)],
                      covers=("pickles.load_numpy_pickle", "pickle_loop.unpickle",
+                             "pickle_loop.carried_out",
                              "pickle_limits.check_values")),
     "predictions": Reader(judged, predictions, ".npz", mutations=ARCHIVE),
     "results": Reader(merged, results, ".jsonl", mutations=(checksummed,) * 4),

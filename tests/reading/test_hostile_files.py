@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import time
 import zipfile
 from pathlib import Path
 
@@ -360,6 +361,68 @@ def test_checkpoints(tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(AssetError, match="folder: not a regular file, but a folder"):
         read_checkpoint(tmp_path / "folder")
+
+
+def pickled(body: bytes) -> bytes:
+    return b"\x80\x02" + body + b"."
+
+
+def colliding(count: int, value: bytes = b"N") -> bytes:
+    """Numbers that all have the same hash, and a value behind each."""
+    numbers = (index * (2**61 - 1) for index in range(count))
+    return b"".join(b"\x8a\x0c" + n.to_bytes(12, "little") + value for n in numbers)
+
+
+PICKLES_IN_CHECKPOINTS = {
+    "keys that collide": (pickled(b"}(" + colliding(20_000) + b"u"), "too many keys that are not"),
+    "keys of an OrderedDict": (
+        pickled(b"ccollections\nOrderedDict\n)R(" + colliding(20_000) + b"u"),
+        "too many keys that are not text",
+    ),
+    "a set": (
+        pickled(b"c__builtin__\nset\n(" + colliding(20_000, b"") + b"l\x85R"),
+        "too many keys that are not text",
+    ),
+    "doubled": (
+        pickled(b"]" + b"".join(b"q%ch%c\x86" % (i, i) for i in range(60))),
+        "holds more than 6000000 values",
+    ),
+    "deep": (pickled(b"(" * 300), "nested too deep"),
+    "torn": (b"\x80\x02}", "ends without the opcode STOP"),
+}
+
+
+@pytest.mark.parametrize("new", [True, False])
+@pytest.mark.parametrize("attack", PICKLES_IN_CHECKPOINTS)
+def test_checkpoint_that_would_keep_torch_busy(attack, new, tmp_path):
+    torch = pytest.importorskip("torch")
+    content, words = PICKLES_IN_CHECKPOINTS[attack]
+    path, sound = tmp_path / "w.pth", tmp_path / "sound.pth"
+    torch.save({"a": torch.ones(2)}, sound, _use_new_zipfile_serialization=new)
+    if new:
+        with zipfile.ZipFile(sound) as source, zipfile.ZipFile(path, "w") as made:
+            for info in source.infolist():
+                held = content if info.filename.endswith("data.pkl") else source.read(info)
+                made.writestr(info.filename, held)
+    else:
+        path.write_bytes(content)
+    start = time.process_time()
+    with pytest.raises(DataError, match=rf"w\.pth.*{words}") as raised:
+        read_tensors(path)
+    assert time.process_time() - start < 1
+    assert len(str(raised.value).splitlines()) == 1
+
+
+def test_tensors_hold_all_of_their_values(tmp_path):
+    torch = pytest.importorskip("torch")
+    path = tmp_path / "w.pth"
+    for tensor in (torch.zeros(1).expand(10**6, 10**6), torch.empty(10**15, device="meta")):
+        torch.save({"a": [tensor]}, path)
+        with pytest.raises(DataError, match=r"w\.pth: a tensor of shape .* needs \d+ bytes"):
+            read_tensors(path)
+    tied = torch.ones(500)
+    torch.save({"a": tied, "b": tied.view(5, 100).T, "c": (tied, {"d": tied})}, path)
+    assert read_tensors(path)["b"].shape == (100, 5)
 
 
 # -- results, golden tables, answers ---------------------------------------------------------------
