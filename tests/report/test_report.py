@@ -238,12 +238,21 @@ def test_interrupted_run_shows_what_there_is(cpas, pytester):
     assert not (pytester.path / "out").exists()
 
 
+def rounded(value):
+    """A document with numbers to 12 decimals: the last ones depend on what is computed together."""
+    if isinstance(value, dict):
+        return {key: rounded(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [rounded(each) for each in value]
+    return round(value, 12) if isinstance(value, float) else value
+
+
 def test_report_of_a_run_on_workers(report, pytester):
     """The same numbers, and the same pictures: shapes travel with the rows."""
     page = pytester.path / "out" / "report.html"
     alone, *_ = report("Biased")
     shown = page.read_text()
     spread, *_ = report("Biased", "-n2")
-    assert spread == alone
+    assert rounded(spread) == rounded(alone)
     assert page.read_text() == shown
     assert "data:image/webp" in shown

@@ -117,8 +117,8 @@ def lab(recorded, pytester):
 
     def run(*asked, plugin=""):
         if plugin:
-            pytester.makepyfile(planted=f"import pytest\n{plugin}")
-            asked = (*asked, "-p", "planted")
+            pytester.makepyfile(labs_plugin=f"import pytest\n{plugin}")
+            asked = (*asked, "-p", "labs_plugin")
         start = pytester.runpytest_subprocess if "-n2" in asked else pytester.runpytest_inprocess
         return start(*RUN, *asked)
 
