@@ -30,6 +30,7 @@ from pytest_cpas.types import (
     Prediction,
     Sample,
     SampleRef,
+    ToldError,
     as_dataset,
     assets_of,
     raised_as,
@@ -45,7 +46,7 @@ __all__ = ["MethodError", "MethodRun", "check_answers"]
 _MOST_FILES, _LARGEST_FOLDER = 10_000, 2**30
 
 
-class MethodError(Exception):
+class MethodError(ToldError):
     """A method cannot be loaded."""
 
 

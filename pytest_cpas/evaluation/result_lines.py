@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from pytest_cpas.evaluation.estimates import decode_estimates, decode_shape
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.facts import fact
-from pytest_cpas.types import SampleRef
+from pytest_cpas.types import SampleRef, shown
 from pytest_cpas.types._arrays import MAX
 
 __all__ = ["contract", "header", "ref", "row", "text", "texts"]
@@ -38,7 +38,7 @@ _SLACK = 1e-9
 def text(name: str, value: Any) -> str:
     """A text."""
     if not isinstance(value, str):
-        raise ValueError(f"{name} is {_shown(value)}, expected a text")
+        raise ValueError(f"{name} is {shown(value)}, expected a text")
     return value
 
 
@@ -50,7 +50,7 @@ def texts(name: str, value: Any) -> dict[str, str]:
 def ref(value: Any) -> SampleRef:
     """The sample that a line is about."""
     if not isinstance(value, list) or len(value) != 4:
-        raise ValueError(f"ref is {_shown(value)}, expected id, category, scene and model")
+        raise ValueError(f"ref is {shown(value)}, expected id, category, scene and model")
     name, category, scene, model = (text("ref", part) for part in value)
     return SampleRef(id=name, category=category, scene=scene, model=model)
 
@@ -58,18 +58,18 @@ def ref(value: Any) -> SampleRef:
 def row(sample: SampleRef, value: Any) -> Row:
     """The row of ``sample``."""
     if not isinstance(value, dict) or value.keys() != _ROW:
-        raise ValueError(f"row is {_shown(value)}, expected {', '.join(sorted(_ROW))}")
+        raise ValueError(f"row is {shown(value)}, expected {', '.join(sorted(_ROW))}")
     if value["shape"] is not None:
         _decoded("shape", value["shape"], decode_shape)
     if not isinstance(value["answers"], list) or not value["answers"]:
-        raise ValueError(f"answers is {_shown(value['answers'])}, expected one for each seed")
+        raise ValueError(f"answers is {shown(value['answers'])}, expected one for each seed")
     answers = tuple(map(_answer, value["answers"]))
     return Row(sample=sample.id, category=sample.category, answers=answers, shape=value["shape"])
 
 
 def _answer(value: Any) -> Answer:
     if not isinstance(value, dict) or value.keys() != _ANSWER:
-        raise ValueError(f"answer is {_shown(value)}, expected {', '.join(sorted(_ANSWER))}")
+        raise ValueError(f"answer is {shown(value)}, expected {', '.join(sorted(_ANSWER))}")
     if value["failure"] is not None:
         text("failure", value["failure"])
     if value["estimate"] is not None:
@@ -83,14 +83,14 @@ def _answer(value: Any) -> Answer:
 def header(value: Any) -> dict[str, Any]:
     """The fields of a header."""
     if not isinstance(value, dict) or value.keys() != _HEADER.keys():
-        raise ValueError(f"header is {_shown(value)}, expected {', '.join(sorted(_HEADER))}")
+        raise ValueError(f"header is {shown(value)}, expected {', '.join(sorted(_HEADER))}")
     return {name: check(name, value[name]) for name, check in _HEADER.items()}
 
 
 def contract(value: Any) -> dict[str, Any]:
     """What a check of the contract found."""
     if not isinstance(value, dict) or value.keys() != _CONTRACT.keys():
-        raise ValueError(f"contract is {_shown(value)}, expected {', '.join(sorted(_CONTRACT))}")
+        raise ValueError(f"contract is {shown(value)}, expected {', '.join(sorted(_CONTRACT))}")
     return {name: check(name, value[name]) for name, check in _CONTRACT.items()}
 
 
@@ -105,36 +105,31 @@ def _check_fact(name: str, value: Any, *, failed: bool) -> None:
     expected = (
         f"{made.failed} of a failed prediction" if failed else f"a number from 0 to {made.most:g}"
     )
-    raise ValueError(f"{name} is {_shown(value)}, expected {expected}")
+    raise ValueError(f"{name} is {shown(value)}, expected {expected}")
 
 
 def _decoded(name: str, value: Any, decode: Callable[[str], object]) -> None:
     try:
         decode(text(name, value))
     except ValueError as error:
-        raise ValueError(f"{name} is {_shown(value)} ({error})") from error
-
-
-def _shown(value: Any) -> str:
-    seen = repr(value)  # what comes from JSON here is not nested deep
-    return seen if len(seen) <= 80 else f"{seen[:77]}..."
+        raise ValueError(f"{name} is {shown(value)} ({error})") from error
 
 
 def _mapping(name: str, value: Any, check: Callable[[str, Any], _T]) -> dict[str, _T]:
     if not isinstance(value, dict):
-        raise ValueError(f"{name} is {_shown(value)}, expected a mapping")
+        raise ValueError(f"{name} is {shown(value)}, expected a mapping")
     return {key: check(f"{name} of {key}", part) for key, part in value.items()}
 
 
 def _list(name: str, value: Any) -> list[str]:
     if not isinstance(value, list):
-        raise ValueError(f"{name} is {_shown(value)}, expected a list of texts")
+        raise ValueError(f"{name} is {shown(value)}, expected a list of texts")
     return [text(name, part) for part in value]
 
 
 def _count(name: str, value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**62:
-        raise ValueError(f"{name} is {_shown(value)}, expected a count")
+        raise ValueError(f"{name} is {shown(value)}, expected a count")
     return value
 
 
@@ -151,13 +146,13 @@ def _seeds(name: str, value: Any) -> int:
 def _shard(name: str, value: Any) -> str:
     found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text(name, value))
     if not found or not 1 <= int(found[1]) <= int(found[2]):
-        raise ValueError(f"{name} is {_shown(value)}, expected i/n with 1 <= i <= n")
+        raise ValueError(f"{name} is {shown(value)}, expected i/n with 1 <= i <= n")
     return str(value)
 
 
 def _flag(name: str, value: Any) -> bool:
     if not isinstance(value, bool):
-        raise ValueError(f"{name} is {_shown(value)}, expected true or false")
+        raise ValueError(f"{name} is {shown(value)}, expected true or false")
     return value
 
 

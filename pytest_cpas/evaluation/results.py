@@ -23,7 +23,7 @@ from pytest_cpas.evaluation.runs import Run
 from pytest_cpas.evaluation.surroundings import changes
 from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.structured import json_value
-from pytest_cpas.types import DataError, SampleRef
+from pytest_cpas.types import DataError, SampleRef, ToldError
 
 __all__ = [
     "Header",
@@ -48,7 +48,7 @@ _CHECKSUM = 16
 _ONLY_TOLD = ("revision",)
 
 
-class ResultsError(Exception):
+class ResultsError(ToldError):
     """A results file that is damaged, or that belongs to another run."""
 
 

@@ -26,7 +26,7 @@ from pytest_cpas.protocols import (
     score_columns,
     shipped_protocol,
 )
-from pytest_cpas.types import DataError, GroundTruth, MethodInfo, SampleRef
+from pytest_cpas.types import DataError, GroundTruth, MethodInfo, SampleRef, ToldError
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
 
@@ -50,7 +50,7 @@ def kernels() -> str:
     return ", ".join([*words, *found[-1:]]) or "unknown"
 
 
-class SampleError(Exception):
+class SampleError(ToldError):
     """A sample could not be judged: damaged data, a method that raised, a broken contract."""
 
 

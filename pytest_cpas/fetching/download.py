@@ -16,6 +16,7 @@ from typing import Any
 
 from pytest_cpas._files import write_file
 from pytest_cpas.reading.files import read_text
+from pytest_cpas.types import ToldError
 
 #: Seconds to wait for a connection, and for the next bytes.
 TIMEOUT = (30, 60)
@@ -27,7 +28,7 @@ ATTEMPTS = 4
 MAX_BYTES = 200 * 2**30
 
 
-class FetchError(Exception):
+class FetchError(ToldError):
     """Something cannot be fetched: why, and what to do about it."""
 
 

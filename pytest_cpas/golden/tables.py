@@ -25,6 +25,7 @@ from pytest_cpas.protocols import (
     score_columns,
     score_table,
 )
+from pytest_cpas.types import ToldError
 
 __all__ = ["GoldenError", "RunTable", "TableSample", "describe", "differences"]
 
@@ -32,7 +33,7 @@ __all__ = ["GoldenError", "RunTable", "TableSample", "describe", "differences"]
 _LONGEST_REASON = 2000
 
 
-class GoldenError(Exception):
+class GoldenError(ToldError):
     """A golden table that cannot be read, or not be written."""
 
 

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, cast
 
-from pytest_cpas.reading.files import opened, regular
-from pytest_cpas.types import DataError
+from pytest_cpas.reading.files import opened
+from pytest_cpas.reading.zips import open_zip
+from pytest_cpas.types import DataError, ToldError
 
 #: An archive may unpack to at most that many times its size (text compresses to a tenth), or to
 #: :data:`_SMALL` bytes.
@@ -34,11 +35,12 @@ _LARGEST = 2**40
 #: Longest path, characters, and longest name of a file or folder, bytes, that any system takes.
 _LONGEST_PATH, _LONGEST_NAME = 1000, 255
 
-#: More members than that are no data set of ours.
-MAX_MEMBERS = 5_000_000
+#: An archive may hold so many files, and one more for so many bytes of its own: those of data sets
+#: have images of many thousands.
+_FEW, _BYTES_EACH = 10_000, 1000
 
 
-class ArchiveError(ValueError):
+class ArchiveError(ToldError, ValueError):
     """An archive is damaged, or would do harm."""
 
 
@@ -100,21 +102,22 @@ _DAMAGE = (
 
 
 def _members(archive: Path, stack: ExitStack) -> list[_File]:
-    if zipfile.is_zipfile(regular(archive)):
-        members = _zip_members(stack.enter_context(zipfile.ZipFile(archive)))
+    file = stack.enter_context(opened(archive, _LARGEST))
+    size = file.seek(0, os.SEEK_END)
+    limit, most = max(MAX_RATIO * size, _SMALL), _FEW + size // _BYTES_EACH
+    if zipfile.is_zipfile(file):
+        members = _zip_members(stack.enter_context(open_zip(f"{archive}", file, most)), size)
     else:
         members = _tar_members(_tar(archive, stack))
-    size = archive.stat().st_size
-    limit = max(MAX_RATIO * size, _SMALL)
     files: list[_File] = []
     total = 0
     for member in members:
         files.append(member)
         total += member.size
-        if total > limit or len(files) > MAX_MEMBERS:
+        if total > limit or len(files) > most:
             raise ArchiveError(
-                f"it would unpack to more than {limit} bytes or {MAX_MEMBERS} files, from {size}"
-                " bytes; a bomb?"
+                f"it would unpack to more than {limit} bytes or {most} files, from {size} bytes; a"
+                " bomb?"
             )
     free = shutil.disk_usage(archive.parent).free
     if total > free:
@@ -160,9 +163,9 @@ def _tar(archive: Path, stack: ExitStack) -> tarfile.TarFile:
     return stack.enter_context(tarfile.open(fileobj=careful, mode="r:"))
 
 
-def _zip_members(archive: zipfile.ZipFile) -> Iterator[_File]:
-    packed = sum(info.compress_size for info in archive.infolist())
-    if archive.filename and packed > os.path.getsize(archive.filename):
+def _zip_members(archive: zipfile.ZipFile, size: int) -> Iterator[_File]:
+    """Of an archive of ``size`` bytes."""
+    if sum(info.compress_size for info in archive.infolist()) > size:
         raise ArchiveError("its members overlap; a bomb?")
     for info in archive.infolist():
         if info.header_offset < 0:
@@ -172,6 +175,11 @@ def _zip_members(archive: zipfile.ZipFile) -> Iterator[_File]:
             raise ArchiveError(f"{info.filename!r} is a link or a device, expected files only")
         if info.flag_bits & 1:
             raise ArchiveError(f"{info.filename!r} is encrypted")
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ArchiveError(
+                f"{info.filename!r} is compressed by method {info.compress_type}, expected 0 or 8"
+                " (stored or deflated); unpack it by hand"
+            )
         path = _checked(info.orig_filename)
         if not info.is_dir():
             yield _File(path, info.file_size, lambda info=info: archive.open(info))  # type: ignore[misc]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pytest_cpas.types import Array, DataError
+from pytest_cpas.types import Array, DataError, shown
 from pytest_cpas.types._arrays import LARGEST
 
 
@@ -21,18 +20,8 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
     except (TypeError, ValueError, OverflowError, RecursionError):
         array = np.array([np.nan])
     if array.size != math.prod(shape) or not (np.abs(array) <= LARGEST).all():
-        raise DataError(f"{what}: {_shown(value)}, expected {math.prod(shape)} finite numbers")
+        raise DataError(f"{what}: {shown(value)}, expected {math.prod(shape)} finite numbers")
     return array.reshape(shape)
-
-
-def _shown(value: Any) -> str:
-    """What was seen, in a line: of long or deep values the beginning."""
-    try:
-        seen = value if isinstance(value, str) else reprlib.repr(value)
-    except (ValueError, RecursionError):  # an integer of more digits than Python writes
-        seen = f"a {type(value).__name__}"
-    seen = " ".join(seen.split())
-    return seen if len(seen) <= 120 else seen[:117] + "..."
 
 
 def whole(text: object) -> int | None:

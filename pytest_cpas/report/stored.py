@@ -14,13 +14,13 @@ from pytest_cpas.reading.structured import read_json
 from pytest_cpas.report.document import FORMAT, run_document
 from pytest_cpas.report.rejudged import rejudged_run
 from pytest_cpas.report.tables import labels
-from pytest_cpas.types import DataError
+from pytest_cpas.types import DataError, ToldError
 
 #: What of a sample has a character for each column.
 _OUTCOMES: tuple[Literal["outcome", "golden"], ...] = ("outcome", "golden")
 
 
-class StoredReportError(Exception):
+class StoredReportError(ToldError):
     """A file that is no report of this version, or that does not fit another one."""
 
 

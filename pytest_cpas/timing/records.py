@@ -25,6 +25,7 @@ from pytest_cpas.timing.intervals import (
     quotient,
     relative_to_others,
 )
+from pytest_cpas.types import ToldError
 
 FORMAT = 1
 
@@ -32,7 +33,7 @@ FORMAT = 1
 _THREADS = "threads of "
 
 
-class RecordError(Exception):
+class RecordError(ToldError):
     """A recorded ratio that cannot be read or written."""
 
 

@@ -21,7 +21,10 @@ from pytest_cpas.types.errors import (
     ContractError,
     DataError,
     DeclarationError,
+    ToldError,
     raised_as,
+    shortened,
+    shown,
 )
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
 from pytest_cpas.types.samples import (
@@ -57,10 +60,13 @@ __all__ = [
     "Sample",
     "SampleRef",
     "Symmetry",
+    "ToldError",
     "Verdict",
     "VerdictWord",
     "WrappedDataset",
     "as_dataset",
     "assets_of",
     "raised_as",
+    "shortened",
+    "shown",
 ]

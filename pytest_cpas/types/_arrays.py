@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.errors import ContractError, shown
 
 Array = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ def checked_number(
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not least <= number <= most:
-        seen = repr(value)[:80] if isinstance(value, int | float | str) else type(value).__name__
+        seen = shown(value) if isinstance(value, int | float | str) else type(value).__name__
         raise ContractError(f"{what}: {seen}, expected {_range(least, most)}")
     return number
 
@@ -149,7 +149,7 @@ def checked_integer(value: object, what: str, least: int, most: int = 2**62) -> 
         number = least - 1
     if not least <= number <= most:
         limit = f"at least {least}" if most == 2**62 else f"from {least} to {most}"
-        seen = repr(value)[:80] if isinstance(value, int | float | str) else type(value).__name__
+        seen = shown(value) if isinstance(value, int | float | str) else type(value).__name__
         raise ContractError(f"{what}: {seen}, expected an integer, {limit}")
     return number
 

@@ -2,13 +2,60 @@
 
 from __future__ import annotations
 
+import re
+import reprlib
 from collections.abc import Generator
 from contextlib import contextmanager
 
-__all__ = ["AnswerError", "ContractError", "DataError", "DeclarationError", "raised_as"]
+__all__ = [
+    "AnswerError",
+    "ContractError",
+    "DataError",
+    "DeclarationError",
+    "ToldError",
+    "raised_as",
+    "shortened",
+    "shown",
+]
+
+#: Characters of a message. It may quote what others wrote, and that may be of any length.
+LONGEST_MESSAGE = 2000
 
 
-class ContractError(ValueError):
+def shortened(text: str, most: int) -> str:
+    """``text``, or its beginning and end, in ``most`` characters; at least 30."""
+    if len(text) <= most:
+        return text
+    left_out = f" ... [{len(text)} characters] ... "
+    kept = most - len(left_out)
+    return text[: kept - kept // 3] + left_out + text[len(text) - kept // 3 :]
+
+
+_QUOTED = reprlib.Repr()
+_QUOTED.maxstring = _QUOTED.maxother = _LONGEST_QUOTED = 100
+_QUOTED.maxlevel = 3
+
+
+def shown(value: object) -> str:
+    """What was seen, as a message quotes it: in a line of about 100 characters at most."""
+    try:
+        seen = _QUOTED.repr(value)
+    except (ValueError, RecursionError):  # an integer of more digits than Python writes
+        seen = f"a {type(value).__name__}"
+    return shortened(re.sub(r"\s*\n\s*", " ", seen), _LONGEST_QUOTED)
+
+
+class ToldError(Exception):
+    """An error whose message is for people: of one that is longer than they read, both ends."""
+
+    def __init__(self, *told: object) -> None:
+        """``told``: the message, of at most :data:`LONGEST_MESSAGE` characters as it is kept."""
+        super().__init__(
+            *(shortened(part, LONGEST_MESSAGE) if isinstance(part, str) else part for part in told)
+        )
+
+
+class ContractError(ToldError, ValueError):
     """A value breaks the contract between the harness and a method or a data set.
 
     Its subclasses say whose value it is. Poses, meshes, cameras, symmetries and metrics serve both

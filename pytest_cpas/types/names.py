@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from pytest_cpas.types.errors import ContractError
+from pytest_cpas.types.errors import ContractError, shown
 
 __all__ = ["checked_name", "checked_text"]
 
@@ -22,11 +22,11 @@ def checked_name(kind: str, name: object) -> str:
     """
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", name):
         raise ContractError(
-            f"{kind} {name!r}: a name becomes a folder of golden tables; expected letters,"
+            f"{kind} {shown(name)}: a name becomes a folder of golden tables; expected letters,"
             " digits, '.', '_', '+' and '-', a letter or digit first"
         )
     if len(name) > _LONGEST:
-        raise ContractError(f"{kind} {name[:50]!r}...: {len(name)} characters, at most {_LONGEST}")
+        raise ContractError(f"{kind} {shown(name)}: {len(name)} characters, at most {_LONGEST}")
     return name
 
 
@@ -34,6 +34,6 @@ def checked_text(kind: str, text: object) -> str:
     """``text`` if it can stand in one line of a table; :class:`ContractError` if not."""
     if not isinstance(text, str) or not text.isprintable() or len(text) > _LONGEST_TEXT:
         raise ContractError(
-            f"{kind} {str(text)[:80]!r}: expected at most {_LONGEST_TEXT} printable characters"
+            f"{kind} {shown(text)}: expected at most {_LONGEST_TEXT} printable characters"
         )
     return text
