@@ -17,8 +17,9 @@ _ENTRY = b"PK\1\2"
 def open_zip(where: str, file: IO[bytes], most: int) -> zipfile.ZipFile:
     """The archive in an open file, if it lists at most ``most`` members; ``file`` stays open.
 
-    The entries are counted before zipfile parses them, which takes hundreds of times as long. Raises :class:`DataError` that begins with ``where`` for an archive that lists
-    more, and what zipfile raises for one that is damaged.
+    The entries are counted before zipfile parses them, which takes hundreds of times as long.
+    Raises :class:`DataError` that begins with ``where`` for an archive that lists more, and what
+    zipfile raises for one that is damaged.
     """
     listing = _Listing(where, file, most)
     archive = zipfile.ZipFile(cast(IO[bytes], listing))

@@ -596,7 +596,8 @@ READERS: dict[str, Reader] = {
                      mutations=TEXT, covers=("meshes.read_mesh", *MESHES))
         for kind in ("obj", "off", "ply", "stl")
     },
-    "archive": Reader(unpacked, archives, mutations=(zip_fields,), covers=("archives.unpack", "zips.open_zip")),
+    "archive": Reader(unpacked, archives, mutations=(zip_fields,),
+                      covers=("archives.unpack", "zips.open_zip")),
     "tensors": Reader(of(R + "checkpoints", "read_tensors"), tensors, mutations=(zip_fields,),
                       covers=("checkpoints.read_tensors", "pickle_walk.walk")),
     "pickle": Reader(of(R + "pickles", "load_numpy_pickle"),

@@ -37,7 +37,6 @@ def listing(count: int, zip64: bool) -> bytes:
 def test_no_more_members_are_listed_than_are_read(zip64):
     with open_zip("mine.zip", io.BytesIO(listing(1000, zip64)), 1000) as archive:
         assert len(archive.namelist()) == 1000
-        assert archive.read("0000999") == b""
     with pytest.raises(DataError, match=r"mine\.zip: 1001 members, at most 1000 are read"):
         open_zip("mine.zip", io.BytesIO(listing(1001, zip64)), 1000)
 
