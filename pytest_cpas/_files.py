@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import threading
+import secrets
 from pathlib import Path
 
 import platformdirs
@@ -26,14 +26,37 @@ def toml_string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def write_file(path: Path, content: str | bytes) -> None:
+class LinkError(OSError):
+    """Something would be written through a link, out of the folder that was named for it."""
+
+
+def check_no_link(folder: Path, path: Path) -> None:
+    """Raise :class:`LinkError` if any part of ``path`` below ``folder`` is a link.
+
+    ``folder`` is what somebody named, and may be one itself; what is below it may come from
+    somebody else, and must not lead elsewhere.
+    """
+    place = folder
+    for part in path.relative_to(folder).parts:
+        place /= part
+        if place.is_symlink() or (hasattr(place, "is_junction") and place.is_junction()):
+            raise LinkError(
+                f"{place} is a link to {os.readlink(place)}, and nothing is written through a link"
+                f" below {folder}; remove it, or name the folder that it leads to"
+            )
+
+
+def write_file(path: Path, content: str | bytes, *, below: Path | None = None) -> None:
     """Write a file as a whole or not at all, even if the process is killed or the machine stops.
 
     Its folder is made. Text is UTF-8, its line ends as they are; what UTF-8 cannot say (a lone
-    surrogate) is written as its escape. Raises OSError, and then leaves what was there as it was.
+    surrogate) is written as its escape. Raises OSError, and then leaves what was there as it was;
+    of it, :class:`LinkError` if a part of ``path`` below the folder ``below`` is a link.
     """
+    if below is not None:
+        check_no_link(below, path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}")
+    unfinished = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
         write_through(unfinished, content)
         unfinished.replace(path)
@@ -44,9 +67,10 @@ def write_file(path: Path, content: str | bytes) -> None:
 
 
 def write_through(path: Path, content: str | bytes) -> None:
-    """Write a file, and wait until the disk has it; on an error a part of it may be there."""
+    """Write a file that must not be there, and wait until the disk has it; on an error a part of it
+    may be there."""
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
-    with path.open("wb") as file:
+    with path.open("xb") as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

@@ -55,7 +55,7 @@ def test_a_full_disk_is_noticed_before_the_old_file_is_replaced(tmp_path, monkey
     file = tmp_path / "file.txt"
     file.write_text("old")
     original = Path.open
-    monkeypatch.setattr(Path, "open", lambda path, mode: original(Path("/dev/full"), mode))
+    monkeypatch.setattr(Path, "open", lambda path, mode: original(Path("/dev/full"), "wb"))
     with pytest.raises(OSError, match="No space left"):
         write_file(file, "new")
     monkeypatch.undo()

@@ -11,6 +11,7 @@ from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
+from pytest_cpas._files import LinkError, check_no_link
 from pytest_cpas.evaluation.program import UNKNOWN
 from pytest_cpas.evaluation.results import (
     FORMAT,
@@ -65,6 +66,10 @@ class ResultsFile:
         #: Whether ``rows`` are another program's, and are reused on purpose.
         self.another_program = False
         self._file: io.RawIOBase | None = None
+        try:
+            check_no_link(folder, self.path)
+        except LinkError as error:
+            raise ResultsError(str(error)) from error
         self._stamp = _stamp(self.path)
         if self._stamp is not None:
             self._read(reuse_any)
@@ -118,7 +123,7 @@ class ResultsFile:
         return self
 
     def _open(self) -> None:
-        file = self.path.open("ab", buffering=0)
+        file = _opened(self.path, os.O_APPEND)
         self._file = file
         if not _lock(file):
             raise ResultsError(
@@ -135,7 +140,7 @@ class ResultsFile:
             # nothing is lost: the old rows stay beside the new ones
             self.path.rename(_free(self.path))
             file.close()
-            self._file = file = self.path.open("xb", buffering=0)
+            self._file = file = _opened(self.path, os.O_EXCL)
             _lock(file)
         file.truncate(self._size)
 
@@ -194,6 +199,15 @@ def _stamp(path: Path) -> tuple[int, ...] | None:
     except OSError as error:
         raise ResultsError(f"{path}: cannot be read ({error})") from error
     return seen.st_dev, seen.st_ino, seen.st_size, seen.st_mtime_ns
+
+
+def _opened(path: Path, flag: int) -> io.FileIO:
+    """A file to write to, made if it is not there; OSError for a link, wherever it leads to, and
+    for a pipe, which would wait for ever."""
+    flags = os.O_WRONLY | os.O_CREAT | flag
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
+        flags |= getattr(os, name, 0)
+    return io.FileIO(os.open(path, flags, 0o666), "wb")
 
 
 def _lock(file: io.FileIO) -> bool:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 import filelock
 
-from pytest_cpas._files import cache_folder, sync_folder, write_through
+from pytest_cpas._files import cache_folder, check_no_link, sync_folder
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
 from pytest_cpas.golden.tables import GoldenError, RunTable
 from pytest_cpas.golden.texts import (
@@ -18,18 +17,13 @@ from pytest_cpas.golden.texts import (
     parse_table,
     table_texts,
 )
+from pytest_cpas.golden.waiting import LARGEST, digest_of, finish, put, waiting
 from pytest_cpas.reading.files import NoFileError, decoded, read_bytes
 from pytest_cpas.types import ContractError, DataError
 from pytest_cpas.types.names import checked_name
 
 __all__ = ["find_golden", "is_recorded", "orphans", "read_golden", "record", "shipped_golden"]
 
-
-#: Largest file of a table, bytes: that of some million samples.
-_LARGEST = 2**30
-
-#: How the name of a file ends that is not complete.
-_PART = ".part"
 
 #: Seconds to wait for another update of the same folder.
 _PATIENCE = 60.0
@@ -52,7 +46,6 @@ def find_golden(golden: Path, method: str, dataset: str) -> RunTable | None:
     """
     for root in (golden, shipped_golden()):
         folder = _folder(root, method, dataset)
-        _tidy(folder)
         if is_recorded(folder):
             return read_golden(folder)
     return None
@@ -71,15 +64,16 @@ def record(golden: Path, table: RunTable) -> Path:
     that ships with the plugin. Two updates at once wait for each other, and whoever is killed at
     any step leaves either the old table or the new one. Raises :class:`GoldenError`, the old table
     intact, for a table that must not be recorded (see :meth:`RunTable.recordable`), a damaged old
-    one, or a disk that does not take it.
+    one, a disk that does not take it, or a link below ``golden``, which may lead elsewhere.
     """
     folder = _folder(golden, table.method, table.dataset)
     try:
+        check_no_link(golden, folder)
         with _exclusive(folder, _PATIENCE):
-            _settle(folder)
+            finish(folder)
             there = next((f for f in _places(golden, table) if is_recorded(f)), None)
             previous = None if there is None else _read_told(there)
-            _write(folder, table.recordable(previous))
+            _write(golden, folder, table.recordable(previous))
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
     except (OSError, DataError) as error:
@@ -120,46 +114,50 @@ def _exclusive(folder: Path, patience: float) -> filelock.BaseFileLock:
 # -- writing ------------------------------------------------------------------------------------
 
 
-def _write(folder: Path, table: RunTable) -> None:
-    """Replace all files of a table. Under the lock of the folder, and settled.
+def _write(golden: Path, folder: Path, table: RunTable) -> None:
+    """Replace all files of a table. Under the lock of the folder, and finished.
 
-    All are complete on the disk, and have been read back, before any is replaced. They wait under
-    names that hold the digest of ``run.toml``; replacing that one commits. From then on
-    :func:`_read` takes the others from where they are still waiting, should the writer die before
-    they have got their places.
+    All are complete on the disk, and have been read back, before any is replaced. They wait as of
+    :mod:`pytest_cpas.golden.waiting`; replacing ``run.toml`` commits. From then on :func:`_read`
+    takes the others from where they are still waiting, should the writer die before they have got
+    their places.
     """
     written = table_texts(table)
     texts = {name: text.encode() for name, text in written.items()}
     run = texts.pop(RUN)
-    digest = hashlib.sha256(run).hexdigest()
+    digest = digest_of(run)
     _make(folder)
-    attributes = folder.parents[2] / ".gitattributes"
-    unfinished = folder / f".run{_PART}"
+    attributes = golden / ".gitattributes"
+    for path in (folder / name for name in written):
+        check_no_link(golden, path)
+    put_down: list[Path] = []
     try:
         if not attributes.exists():
-            write_through(folder / f".attributes{_PART}", _ATTRIBUTES)
-            (folder / f".attributes{_PART}").replace(attributes)
-            sync_folder(attributes.parent)
+            check_no_link(golden, attributes)
+            put_down.append(put(folder, digest, attributes.name, _ATTRIBUTES))
+            put_down[-1].replace(attributes)
+            sync_folder(golden)
         for name, text in texts.items():
             if _content(folder / name) != text:
-                write_through(folder / f".file{_PART}", text)
-                (folder / f".file{_PART}").replace(_waiting(folder, digest, name))
-        write_through(unfinished, run)
-        _check_readable(folder, unfinished, table, written)
+                put_down.append(put(folder, digest, name, text))
+        unfinished = put(folder, digest, RUN, run)
+        put_down.append(unfinished)
+        _check_readable(folder, run, table, written)
         sync_folder(folder)
         unfinished.replace(folder / RUN)
-        sync_folder(folder)
     except BaseException:
-        _settle(folder)
+        for path in put_down:
+            path.unlink(missing_ok=True)
         raise
-    _settle(folder)
+    sync_folder(folder)
+    finish(folder)
 
 
-def _check_readable(folder: Path, run: Path, table: RunTable, written: Mapping[str, str]) -> None:
+def _check_readable(folder: Path, run: bytes, table: RunTable, written: Mapping[str, str]) -> None:
     """Read what is about to replace the old table; :class:`GoldenError` unless it is ``table``, of
     which ``written`` are the texts."""
     try:
-        texts = _read_texts(folder, _bytes(run))
+        texts = _read_texts(folder, run)
         again = parse_table(table.method, table.dataset, texts)
     except (OSError, DataError, GoldenError) as error:
         raise GoldenError(f"what would be recorded cannot be read back ({error})") from error
@@ -175,57 +173,14 @@ def _make(folder: Path) -> None:
         sync_folder(path.parent)
 
 
-def _settle(folder: Path) -> None:
-    """Finish what an update that was killed left: files that a table waits for get their places,
-    what no table names goes. Under the lock of the folder."""
-    leftovers = _leftovers(folder)
-    if not leftovers:
-        return
-    digest = _digest(folder / RUN)
-    own = _waiting(folder, digest, "").name
-    waiting = [path for path in leftovers if digest and path.name.startswith(own)]
-    for path in waiting:
-        path.replace(folder / path.name.removeprefix(own))
-    if waiting:
-        sync_folder(folder)
-    for path in leftovers:
-        if path not in waiting:
-            path.unlink(missing_ok=True)
-
-
-def _tidy(folder: Path) -> None:
-    """The same for readers, who leave it to a writer at work, or do without where nothing can be
-    written: :func:`_read` takes a table that was committed from wherever it is."""
-    if _leftovers(folder):
-        with suppress(OSError, filelock.Timeout), _exclusive(folder, 0):
-            _settle(folder)
-
-
-def _leftovers(folder: Path) -> list[Path]:
-    """Files that are not where they belong: unfinished, waiting, or of an older form that a newer
-    table has replaced."""
-    older = [folder / name for name in (OLDER_TABLE, OLDER_SAMPLES)]
-    return [
-        *folder.glob(_waiting(folder, "*", "*").name),
-        *folder.glob(f".*{_PART}"),
-        *(path for path in older if (folder / RUN).exists() and path.exists()),
-    ]
-
-
-def _waiting(folder: Path, digest: str, name: str) -> Path:
-    """A file, complete, that waits for the ``run.toml`` of a digest to be in its place."""
-    return folder / f".waiting-{digest}-{name}"
-
-
 # -- reading ------------------------------------------------------------------------------------
 
 
 def read_golden(folder: Path) -> RunTable:
     """Read the files of a table and check them against each other.
 
-    Raises :class:`GoldenError` that names the file.
+    Nothing is written or removed. Raises :class:`GoldenError` that names the file.
     """
-    _tidy(folder)
     try:
         return _read(folder)
     except (OSError, ValueError, GoldenError):
@@ -235,6 +190,8 @@ def read_golden(folder: Path) -> RunTable:
             return _read_told(folder)
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: an update has held it for {_PATIENCE:g} s") from error
+    except OSError:  # nothing can be locked where nothing can be written
+        return _read_told(folder)
 
 
 def _read_told(folder: Path) -> RunTable:
@@ -260,12 +217,11 @@ def _read(folder: Path) -> RunTable:
 def _read_texts(folder: Path, run: bytes) -> dict[str, str]:
     """The text of each file: of those that wait for this ``run.toml``, else of those in their
     places."""
-    digest = hashlib.sha256(run).hexdigest()
+    digest = digest_of(run)
+    there = {w.name: w.path for w in waiting(folder) if w.run == digest and w.is_complete()}
     texts = {RUN: _text(folder / RUN, run)}
     for name in file_names(texts[RUN]):
-        waiting = _waiting(folder, digest, name)
-        path = waiting if waiting.exists() else folder / name
-        texts[name] = _text(folder / name, _bytes(path))
+        texts[name] = _text(folder / name, _bytes(there.get(name, folder / name)))
     return texts
 
 
@@ -277,16 +233,10 @@ def _text(path: Path, content: bytes) -> str:
 
 def _bytes(path: Path) -> bytes:
     try:
-        return read_bytes(path, _LARGEST)
+        return read_bytes(path, LARGEST)
     except NoFileError as error:
         raise GoldenError(f"{path.name} is missing") from error
 
 
 def _content(path: Path) -> bytes | None:
-    return read_bytes(path, _LARGEST) if path.exists() else None
-
-
-def _digest(path: Path) -> str:
-    """The SHA-256 of a file; "" if there is none."""
-    content = _content(path)
-    return "" if content is None else hashlib.sha256(content).hexdigest()
+    return read_bytes(path, LARGEST) if path.exists() else None

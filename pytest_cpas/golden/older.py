@@ -30,7 +30,7 @@ from pytest_cpas.reading.structured import parse_toml
 from pytest_cpas.reading.tables import csv_lines, real
 from pytest_cpas.types import DataError
 
-__all__ = ["OLDER_SAMPLES", "OLDER_TABLE", "parse_older"]
+__all__ = ["OLDER_SAMPLES", "OLDER_TABLE", "belong_together", "parse_older"]
 
 OLDER_TABLE, OLDER_SAMPLES = "table.toml", "samples.csv"
 
@@ -98,6 +98,17 @@ def parse_older(method: str, dataset: str, table_toml: str, samples_csv: str) ->
     if cells != _cells(table):
         raise GoldenError(f"the cells of {OLDER_TABLE} are not the sums of {OLDER_SAMPLES}")
     return table
+
+
+def belong_together(table_toml: bytes, samples_csv: bytes) -> bool:
+    """Whether these are the two files of one table: the first names the digest of the second."""
+    try:
+        content = parse_toml(OLDER_TABLE, table_toml.decode())
+    except ValueError:
+        return False
+    samples = samples_csv.replace(b"\r\n", b"\n")
+    digest = hashlib.sha256(samples).hexdigest()
+    return content.get("format") == _FORMAT and content.get("samples_sha256") == digest
 
 
 def _samples(samples_csv: str, seeds: int) -> dict[str, TableSample]:

@@ -23,11 +23,15 @@ def write_report(
 
     ``pictures``: WebP pictures by method and data set, and by sample, for the page.
 
-    Raises :class:`OSError` if a disk does not take them.
+    Raises :class:`OSError` if a disk does not take them, or if one of them is a link.
     """
-    write_file(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
-    write_file(folder / "report.md", markdown(document))
-    write_file(folder / "precision.csv", precision_csv(document))
-    write_file(folder / "scores.csv", scores_csv(document))
-    write_file(folder / "precision.tex", precision_tex(document))
-    write_file(folder / "report.html", page(document, pictures))
+    contents: dict[str, str] = {
+        "report.json": json.dumps(document, indent=1, allow_nan=False) + "\n",
+        "report.md": markdown(document),
+        "precision.csv": precision_csv(document),
+        "scores.csv": scores_csv(document),
+        "precision.tex": precision_tex(document),
+        "report.html": page(document, pictures),
+    }
+    for name, content in contents.items():
+        write_file(folder / name, content, below=folder)

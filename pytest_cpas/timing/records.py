@@ -166,9 +166,10 @@ def read_record(path: Path) -> SpeedRecord | None:
         ) from error
 
 
-def write_record(path: Path, record: SpeedRecord) -> None:
-    """Write the file as a whole or not at all; :class:`RecordError` if that fails."""
+def write_record(golden: Path, path: Path, record: SpeedRecord) -> None:
+    """Write the file, which is below ``golden``, as a whole or not at all; :class:`RecordError` if
+    that fails, or if it would lead out of there through a link."""
     try:
-        write_file(path, record.toml())
+        write_file(path, record.toml(), below=golden)
     except OSError as error:
         raise RecordError(f"{path}: the ratio cannot be recorded ({error})") from error

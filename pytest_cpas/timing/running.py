@@ -114,7 +114,7 @@ class SpeedRun:
                 looks = [look for look in LOOKS if look >= 2 * len(samples)]
                 time_rounds(benchmark, rounds, looks, lambda _: True)
                 record = SpeedRecord.of(names, rounds.by_sample(), identity, provenance_of(on))
-                write_record(path, record)
+                write_record(plan.golden, path, record)
                 verdict, slowdown = Verdict(SpeedWord.RECORDED, ALL, str(path)), None
             else:
                 comparison: Comparison = (
