@@ -200,8 +200,11 @@ def object_name(number: int) -> str:
 
 
 def object_number(name: str) -> int:
-    """The number of an object, from its category."""
-    return int(name.removeprefix("obj_"))
+    """The number of an object, from its category; :class:`DataError` if it is none."""
+    number = whole(name.removeprefix("obj_"))
+    if number is None or name != object_name(number):
+        raise DataError(f"{name[:80]!r} is no object, expected a name such as {object_name(1)}")
+    return number
 
 
 def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from pytest_cpas._files import write_file
 from pytest_cpas.datasets.bop import find_models, find_split, object_number, read_models
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.evaluation.results import ResultsError, read_results
+from pytest_cpas.evaluation.rows import Row
+from pytest_cpas.types import ContractError, DataError, Pose
+
+_SAMPLE = re.compile(r"([0-9]{1,9})/([0-9]{1,9})/[0-9]{1,9}")
 
 HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 
@@ -18,7 +23,7 @@ def export_bop(results: Path, data: Path, target: Path) -> int:
     ``data``: the folder of the data set, whose models say where BOP's origin is. One line for each
     estimate: rotation row by row, translation in millimetres, score 1, time -1 (not measured).
     Failed predictions have no line. Raises :class:`ResultsError` if the results are of another
-    data set or without estimates.
+    data set or without estimates, or if an estimate is no pose.
     """
     read = read_results(results)
     root, _ = find_split(data)
@@ -35,12 +40,23 @@ def export_bop(results: Path, data: Path, target: Path) -> int:
     for row, rotation, translation in zip(
         rows, estimates.rotation, estimates.translation, strict=True
     ):
-        number = object_number(row.category)
+        try:
+            scene, image, number = _place(row)
+            pose = Pose(rotation, translation)
+        except ContractError as error:
+            raise ResultsError(f"{results}: sample {row.sample[:80]!r}: {error}") from None
         if number not in models:
             raise ResultsError(f"{results}: {row.category} is not in the models of {root}")
-        origin = 1000 * (translation - rotation @ models[number].centre)
-        scene, image, _ = row.sample.split("/")
+        origin = 1000 * (pose.translation - rotation @ models[number].centre)
         r, t = (" ".join(f"{v:.9g}" for v in values) for values in (rotation.ravel(), origin))
-        lines.append(f"{int(scene)},{int(image)},{number},1,{r},{t},-1")
+        lines.append(f"{scene},{image},{number},1,{r},{t},-1")
     write_file(target, "\n".join(lines) + "\n")
     return len(rows)
+
+
+def _place(row: Row) -> tuple[int, int, int]:
+    """Scene, image and object of a row; :class:`DataError` if its sample is not of BOP."""
+    match = _SAMPLE.fullmatch(row.sample)
+    if match is None:
+        raise DataError("expected scene, image and place in it, such as 000001/000003/0")
+    return int(match[1]), int(match[2]), object_number(row.category)

@@ -54,6 +54,10 @@ def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Array, Arr
     """Rotation (3, 3), translation (3,) and extents (3,), metres, of a (4, 4) similarity and a box
     relative to its scale."""
     scaled = frozen_array(scaled, (4, 4), "the pose")
+    if not np.allclose(scaled[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
+        raise DataError(
+            f"the pose's last row is {scaled[3].tolist()}, expected 0, 0, 0, 1; is it transposed?"
+        )
     determinant = float(np.linalg.det(scaled[:3, :3]))
     if not determinant > 0:
         raise DataError(
@@ -82,6 +86,8 @@ class StoredRun(Run):
         digest = hashlib.sha256()
         samples = []
         for name, frame in read_frames(path):
+            if not name:
+                raise DataError(f"{path}: a frame has no name")
             scene, _, number = name.rpartition("_")
             if name in self._frames:
                 raise DataError(f"{path}: frame {name} occurs twice")

@@ -25,6 +25,9 @@ __all__ = ["POSE_MATCH_IOU", "AveragePrecision", "Detections", "Matches", "inter
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+#: Pairs of a prediction and a ground truth of its image and category. REAL275 has some 20,000.
+MOST_PAIRS = 4_000_000
+
 #: IoU at which "use matches for pose" pairs predictions with ground truth.
 POSE_MATCH_IOU = 0.1
 
@@ -211,19 +214,11 @@ class Detections:
         pred, true = pred[order], true[order]
         pred_matched = np.zeros(len(self.scores), dtype=bool)
         true_matched = np.zeros(len(self.true_category), dtype=bool)
-        # A pair is settled once nothing before it can take its ground truth or its prediction:
-        # in each round, the pairs that are first both for their prediction and ground truth.
-        while len(pred):
-            ranks = np.arange(len(pred))
-            first_of_pred = np.full(len(pred_matched), len(pred))
-            np.minimum.at(first_of_pred, pred, ranks)
-            first_of_true = np.full(len(true_matched), len(pred))
-            np.minimum.at(first_of_true, true, ranks)
-            settled = (first_of_pred[pred] == ranks) & (first_of_true[true] == ranks)
-            pred_matched[pred[settled]] = True
-            true_matched[true[settled]] = True
-            open_pairs = ~pred_matched[pred] & ~true_matched[true]
-            pred, true = pred[open_pairs], true[open_pairs]
+        pred_free, true_free = [True] * len(pred_matched), [True] * len(true_matched)
+        for prediction, truth in zip(pred.tolist(), true.tolist(), strict=True):
+            if pred_free[prediction] and true_free[truth]:
+                pred_free[prediction] = true_free[truth] = False
+                pred_matched[prediction] = true_matched[truth] = True
         return pred_matched, true_matched
 
 
@@ -257,6 +252,12 @@ def _equal_pairs(left: Indices, right: Indices) -> Indices:
     start = np.searchsorted(right[order], left, side="left")
     stop = np.searchsorted(right[order], left, side="right")
     lengths = stop - start
+    if (count := int(lengths.sum())) > MOST_PAIRS:
+        raise ContractError(
+            f"detections: {count} pairs of a prediction and a ground truth of one image and"
+            f" category, at most {MOST_PAIRS} are matched; give each image a name of its own, or"
+            " leave out the predictions with the lowest scores"
+        )
     i = np.repeat(np.arange(len(left)), lengths)
     within = np.arange(len(i)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
     return np.stack([i, order[start[i] + within]], axis=1)

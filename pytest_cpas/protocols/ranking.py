@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,9 +12,14 @@ from pytest_cpas.facts import PairTable
 from pytest_cpas.metrics.average_precision import Matches, interpolated_area
 from pytest_cpas.protocols.columns import RankingColumn
 from pytest_cpas.protocols.judging import Score, ScoreTable
+from pytest_cpas.types import ContractError
+from pytest_cpas.types._arrays import checked_integer
 from pytest_cpas.types.samples import ALL
 
 __all__ = ["RankedDetection", "Ranking", "rank", "ranking_table"]
+
+#: Objects of a category in all images of a data set.
+_MOST_COUNTED = 10**9
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +34,41 @@ class RankedDetection:
 
 @dataclass(frozen=True)
 class Ranking:
-    """The detections by name, and per category how many objects each ranking column counts."""
+    """The detections by name, and per category how many objects each ranking column counts.
+
+    Raises :class:`ContractError` for scores that are not finite, and for more detections that are
+    right than objects are counted.
+    """
 
     detections: Mapping[str, RankedDetection]
     counted: Mapping[str, tuple[int, ...]]
+
+    def __post_init__(self) -> None:
+        outcomes: dict[str, list[str]] = {category: [] for category in self.counted}
+        for name, detection in self.detections.items():
+            if not math.isfinite(detection.score):
+                raise ContractError(
+                    f"detection {name[:80]!r}: score {detection.score}, expected a finite number"
+                )
+            if detection.category in outcomes:
+                outcomes[detection.category].append(detection.outcome)
+        for category, counts in self.counted.items():
+            for count in counts:
+                checked_integer(count, f"objects counted of {category}", 0, _MOST_COUNTED)
+            text = "".join(outcomes[category]).encode("ascii", "replace")
+            if len(text) != len(counts) * len(outcomes[category]):
+                raise ContractError(
+                    f"detections of {category}: outcomes of {len(text)} characters, expected"
+                    f" {len(counts)} for each of {len(outcomes[category])}"
+                )
+            right = np.frombuffer(text, np.uint8).reshape(
+                len(outcomes[category]), len(counts)
+            ) == ord("1")
+            if (right.sum(axis=0) > counts).any():
+                raise ContractError(
+                    f"detections of {category}: {right.sum(axis=0).tolist()} are right by column,"
+                    f" but {list(counts)} objects are counted"
+                )
 
     def without(self, categories: Collection[str]) -> Ranking:
         """This ranking without some categories."""

@@ -127,7 +127,7 @@ def broken(index, value):
         (np.full((4, 4), np.nan), "the pose: 16 of 16 values are NaN"),
         (np.diag([0.2, 0.2, -0.2, 1]), "determinant -0.008"),
         (np.diag([0.1, 0.2, 0.3, 1]), "not orthonormal"),
-        (np.zeros((4, 4)), "determinant 0"),
+        (np.diag([0, 0, 0, 1.0]), "determinant 0"),
     ],
 )
 def test_broken_prediction_fails_its_sample_only(path, pose, words):
