@@ -424,7 +424,7 @@ def test_links_in_the_folder_are_not_followed(tmp_path):
 
 
 def test_too_many_members(tmp_path, monkeypatch):
-    monkeypatch.setattr(archives, "MAX_MEMBERS", 1)
+    monkeypatch.setattr(archives, "_FEW", 1)
     (tmp_path / "archive").write_bytes(zipped(*GOOD))
     with pytest.raises(ArchiveError, match="or 1 files"):
         unpack(tmp_path / "archive", tmp_path / "folder")

@@ -597,7 +597,8 @@ READERS: dict[str, Reader] = {
         for kind in ("obj", "off", "ply", "stl")
     },
     "archive": Reader(unpacked, archives, mutations=(zip_fields,),
-                      covers=("archives.unpack", "zips.open_zip")),
+                      covers=("archives.unpack", "zips.open_zip", "tars.tar_members",
+                              "compressed.decompressed")),
     "tensors": Reader(of(R + "checkpoints", "read_tensors"), tensors, mutations=(zip_fields,),
                       covers=("checkpoints.read_tensors", "pickle_walk.walk")),
     "pickle": Reader(of(R + "pickles", "load_numpy_pickle"),
