@@ -16,9 +16,16 @@ import numpy as np
 
 from pytest_cpas.metrics.surfaces import Surface
 from pytest_cpas.types import Array, Hypothesis, Mesh
+from pytest_cpas.types._arrays import LARGEST
 
 _DTYPE = np.dtype("<f4")
 _COUNT = 15
+
+#: How far the product of a rotation and its inverse may be off: more than single precision needs.
+_SLACK = 1e-2
+
+#: Coordinates of an origin, metres, are no larger: those that are read, moved to another origin.
+_FARTHEST_ORIGIN = 10 * LARGEST
 
 #: Points of a shape: 1.6 kB of text.
 SHAPE_POINTS = 400
@@ -52,7 +59,14 @@ def decode_estimates(texts: Sequence[str]) -> Estimates:
     values = np.frombuffer(b"".join(parts), _DTYPE).reshape(-1, _COUNT).astype(float)
     if not np.isfinite(values[:, :12]).all() or np.isinf(values[:, 12:]).any():
         raise ValueError("a rotation or a translation is not finite, or extents are infinite")
-    return Estimates(values[:, :9].reshape(-1, 3, 3), values[:, 9:12], values[:, 12:])
+    rotation = values[:, :9].reshape(-1, 3, 3)
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes no number is refused
+        straight = np.abs(rotation @ rotation.swapaxes(1, 2) - np.eye(3)) <= _SLACK
+        if not straight.all() or not (np.linalg.det(rotation) > 0).all():
+            raise ValueError("a rotation is none")
+    if (np.abs(values[:, 9:12]) > _FARTHEST_ORIGIN).any() or (values[:, 12:] <= 0).any():
+        raise ValueError("a translation is beyond what is read, or extents are not above 0")
+    return Estimates(rotation, values[:, 9:12], values[:, 12:])
 
 
 def encode_shape(shape: Mesh | Array) -> str:

@@ -7,7 +7,7 @@ Every function raises :class:`ValueError` that says what was seen and what was e
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ from pytest_cpas.facts import fact
 from pytest_cpas.types import SampleRef, shown
 from pytest_cpas.types._arrays import MAX
 
-__all__ = ["contract", "header", "ref", "row", "text", "texts"]
+__all__ = ["check_row", "contract", "header", "ref", "row", "text", "texts"]
 
 _T = TypeVar("_T")
 
@@ -65,6 +65,18 @@ def row(sample: SampleRef, value: Any) -> Row:
         raise ValueError(f"answers is {shown(value['answers'])}, expected one for each seed")
     answers = tuple(map(_answer, value["answers"]))
     return Row(sample=sample.id, category=sample.category, answers=answers, shape=value["shape"])
+
+
+def check_row(row: Row, first: Row, seeds: int, defined: Collection[str]) -> None:
+    """That a row has an answer for each of the ``seeds``, and of the facts that are ``defined``
+    those that the ``first`` row has."""
+    if len(row.answers) != seeds:
+        raise ValueError(f"{len(row.answers)} answers, expected one for each of {seeds} seeds")
+    for answer in row.answers:
+        if other := sorted(answer.facts.keys() ^ first.facts.keys()):
+            raise ValueError(f"{shown(other)}: facts that only one of two answers has")
+    if unknown := sorted(row.facts.keys() - set(defined)):
+        raise ValueError(f"{shown(unknown)}: facts that the header does not define")
 
 
 def _answer(value: Any) -> Answer:
@@ -134,7 +146,10 @@ def _count(name: str, value: Any) -> int:
 
 
 def _counts(name: str, value: Any) -> Mapping[str, int]:
-    return _mapping(name, value, _count)
+    counts = _mapping(name, value, _count)
+    for category in counts:
+        SampleRef(id="any", category=category, scene="")  # checks what it is called
+    return counts
 
 
 def _seeds(name: str, value: Any) -> int:

@@ -12,7 +12,8 @@ from __future__ import annotations
 import hashlib
 import re
 import secrets
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -192,6 +193,10 @@ def parse_results(path: Path, content: bytes) -> Results:
                 refs[ref.id] = ref
                 if "row" in value:
                     rows[ref.id] = result_lines.row(ref, value["row"])
+                    first = next(iter(rows.values()))
+                    result_lines.check_row(
+                        rows[ref.id], first, header.seeds, header.definitions.keys()
+                    )
                     errors.pop(ref.id, None)
                 else:
                     errors[ref.id] = result_lines.text("error", value["error"])
@@ -201,6 +206,7 @@ def parse_results(path: Path, content: bytes) -> Results:
             ) from error
     if header is None:
         raise ResultsError(f"{path}: does not begin with the header of a results file")
+    _check_counts(path, header, refs.values())
     return Results(
         path=path,
         header=header,
@@ -220,6 +226,25 @@ def together(one: Mapping[str, str], other: Mapping[str, str]) -> Mapping[str, s
         facts = [part.get(key, "unknown").split(" and ") for part in (one, other)]
         both[key] = " and ".join(dict.fromkeys([*facts[0], *facts[1]]))
     return both
+
+
+def _check_counts(path: Path, header: Header, refs: Collection[SampleRef]) -> None:
+    """:class:`ResultsError` for more samples than the header says that there are."""
+    counts = Counter(ref.category for ref in refs)
+    told = [
+        f"{category} has {count}, and its header lists {header.listed.get(category, 0)}"
+        for category, count in sorted(counts.items())
+        if count > header.listed.get(category, 0)
+    ]
+    listed = sum(header.listed.values())
+    if header.selected > listed:
+        told.append(f"its header selects {header.selected} of the {listed} that it lists")
+    if len(refs) > header.selected:
+        told.append(f"it has {len(refs)}, and its header selects {header.selected}")
+    if told:
+        raise ResultsError(
+            f"{path}: samples that no run writes: {'; '.join(told)}. Remove the file and run again"
+        )
 
 
 def is_torn_header(content: bytes) -> bool:

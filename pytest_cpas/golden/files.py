@@ -10,13 +10,9 @@ import filelock
 
 from pytest_cpas._files import cache_folder, check_no_link, sync_folder
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
+from pytest_cpas.golden.parsing import file_names, parse_table
 from pytest_cpas.golden.tables import GoldenError, RunTable
-from pytest_cpas.golden.texts import (
-    RUN,
-    file_names,
-    parse_table,
-    table_texts,
-)
+from pytest_cpas.golden.texts import RUN, table_texts
 from pytest_cpas.golden.waiting import LARGEST, digest_of, finish, put, waiting
 from pytest_cpas.reading.files import NoFileError, decoded, read_bytes
 from pytest_cpas.types import ContractError, DataError

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from dataclasses import replace
 
 from pytest_cpas.evaluation import Answer
 from pytest_cpas.facts import fact
+from pytest_cpas.golden.parsing import checked_fact
 from pytest_cpas.golden.tables import GoldenError, RunTable, TableSample
 from pytest_cpas.protocols import (
     PAPER,
@@ -27,14 +27,17 @@ from pytest_cpas.protocols import (
 )
 from pytest_cpas.reading.files import lines_of
 from pytest_cpas.reading.structured import parse_toml
-from pytest_cpas.reading.tables import csv_lines, real
-from pytest_cpas.types import DataError
+from pytest_cpas.reading.tables import csv_lines
+from pytest_cpas.types import DataError, SampleRef, shown
 
 __all__ = ["OLDER_SAMPLES", "OLDER_TABLE", "belong_together", "parse_older"]
 
 OLDER_TABLE, OLDER_SAMPLES = "table.toml", "samples.csv"
 
 _FORMAT = 2
+
+#: Seeds that are believed: where all agree, the table has one outcome for them.
+_MOST_SEEDS = 1000
 
 _COLUMNS = (
     "sample",
@@ -67,10 +70,12 @@ def parse_older(method: str, dataset: str, table_toml: str, samples_csv: str) ->
     except DataError as error:
         raise GoldenError(str(error)) from error
     if content.get("format") != _FORMAT:
-        raise GoldenError(f"{OLDER_TABLE}: format is {content.get('format')!r}, expected {_FORMAT}")
+        raise GoldenError(
+            f"{OLDER_TABLE}: format is {shown(content.get('format'))}, expected {_FORMAT}"
+        )
     seeds = content.get("seeds")
-    if type(seeds) is not int or seeds < 1:
-        raise GoldenError(f"{OLDER_TABLE}: seeds is {seeds!r}, expected at least 1")
+    if type(seeds) is not int or not 1 <= seeds <= _MOST_SEEDS:
+        raise GoldenError(f"{OLDER_TABLE}: seeds is {shown(seeds)}, expected 1 to {_MOST_SEEDS}")
     sections = [content.get(name, 0) for name in ("identity", "provenance", "cells")]
     for section in sections:
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
@@ -135,18 +140,19 @@ def _samples(samples_csv: str, seeds: int) -> dict[str, TableSample]:
 
 
 def _sample(line: Sequence[str], seeds: int) -> TableSample:
-    _, category, outcome, repeats, translation, rotation, iou, fscore, failure = line
+    name, category, outcome, repeats, translation, rotation, iou, fscore, failure = line
     outcomes = (outcome, *repeats.split())
     if len(outcomes) not in (1, seeds) or any(
         not re.fullmatch(r"[01-]{4}", each) for each in outcomes
     ):
         raise ValueError(f"outcomes {' '.join(outcomes)[:80]!r}")
-    errors = (
-        real(translation),
-        real(rotation),
-        real(iou, -math.inf, 1.01) if iou else None,
-        real(fscore, -math.inf, 1.01) if fscore else None,
-    )
+    SampleRef(id=name, category=category, scene="")  # checks both
+    errors = [
+        checked_fact(text, fact(now), failed=bool(failure))
+        for now, text in zip(_FACTS, (translation, rotation, iou, fscore), strict=True)
+    ]
+    if None in errors[:2]:
+        raise ValueError("a translation or a rotation error is missing")
     return TableSample(
         category=category,
         answers=(Answer(facts=dict(zip(_FACTS, errors, strict=True)), failure=failure or None),),

@@ -9,8 +9,9 @@ from pathlib import Path
 from pytest_cpas.golden.comparison import compare
 from pytest_cpas.golden.files import is_recorded, read_golden
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
+from pytest_cpas.golden.parsing import file_names, parse_table
 from pytest_cpas.golden.tables import GoldenError, RunTable
-from pytest_cpas.golden.texts import RUN, file_names, parse_table
+from pytest_cpas.golden.texts import RUN
 from pytest_cpas.golden.words import Word
 
 __all__ = ["golden_diff"]

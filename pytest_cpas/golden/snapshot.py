@@ -23,9 +23,10 @@ from syrupy.types import SerializedData, SnapshotIndex
 from pytest_cpas.golden.comparison import compare
 from pytest_cpas.golden.files import find_golden, record
 from pytest_cpas.golden.jitter import parse_alarm
+from pytest_cpas.golden.parsing import parse_table
 from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import RunTable
-from pytest_cpas.golden.texts import parse_table, table_texts
+from pytest_cpas.golden.texts import table_texts
 from pytest_cpas.reading.text import terminal_line, terminal_lines
 from pytest_cpas.types import Required, Verdict
 

@@ -15,27 +15,15 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import math
-import re
-import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from operator import itemgetter
-from typing import Any
 
 from pytest_cpas._files import toml_string
-from pytest_cpas.evaluation import Answer
-from pytest_cpas.facts import Fact, fact
-from pytest_cpas.golden.tables import GoldenError, RunTable, table_samples
-from pytest_cpas.protocols import Protocol, ProtocolError, RankedDetection, Ranking, ranking_columns
-from pytest_cpas.reading.files import lines_of
-from pytest_cpas.reading.structured import parse_toml
-from pytest_cpas.reading.tables import csv_lines, real
-from pytest_cpas.types import DataError
-from pytest_cpas.types.names import checked_text
+from pytest_cpas.golden.tables import RunTable
+from pytest_cpas.protocols import Protocol
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["FORMAT", "RUN", "file_names", "parse_table", "table_texts"]
+__all__ = ["DETECTIONS", "FACTS", "FORMAT", "RUN", "protocol_file", "table_texts"]
 
 FORMAT = 3
 
@@ -45,10 +33,10 @@ RUN, FACTS, DETECTIONS = "run.toml", "facts.csv", "detections.csv"
 _TITLE = "# Recorded by pytest-cpas; --snapshot-update records it anew."
 
 #: The columns of ``facts.csv`` before the facts; the last one is why there is no answer.
-_KEYS, _FAILURE = ("category", "sample", "seed"), "failure"
+KEYS, FAILURE = ("category", "sample", "seed"), "failure"
 
 #: The columns of ``detections.csv``.
-_DETECTION = ("category", "detection", "score", "outcome")
+DETECTION = ("category", "detection", "score", "outcome")
 
 
 def protocol_file(name: str) -> str:
@@ -59,9 +47,9 @@ def protocol_file(name: str) -> str:
 def table_texts(table: RunTable) -> dict[str, str]:
     """The text of each file, by its name."""
     facts, detections = _fact_lines(table), _detection_lines(table)
-    texts = {FACTS: _joined((*_KEYS, *table.facts, _FAILURE), facts)}
+    texts = {FACTS: _joined((*KEYS, *table.facts, FAILURE), facts)}
     if table.ranking is not None:
-        texts[DETECTIONS] = _joined(_DETECTION, detections)
+        texts[DETECTIONS] = _joined(DETECTION, detections)
     for protocol in table.protocols:
         texts[protocol_file(protocol.name)] = _protocol_toml(table, protocol)
     return {**texts, RUN: _run_toml(table, facts, detections)}
@@ -197,182 +185,3 @@ def _cells(table: RunTable, protocol: Protocol) -> dict[str, dict[str, str]]:
                 told[column.id] = "n/a"
         cells[category] = told
     return cells
-
-
-# -- reading ------------------------------------------------------------------------------------
-
-
-def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable:
-    """A table from the texts of its files, by name.
-
-    Raises :class:`GoldenError` if they are not, or do not belong together.
-    """
-    content = _toml(RUN, texts[RUN])
-    if content.get("format") != FORMAT:
-        raise GoldenError(f"format is {content.get('format')!r}, this version reads {FORMAT}")
-    seeds = content.get("seeds")
-    if type(seeds) is not int or not 1 <= seeds < 2**31:
-        raise GoldenError(f"{RUN}: seeds is {seeds!r}, expected at least 1")
-    sections = {name: content.get(name, 0) for name in ("identity", "definitions", "provenance")}
-    for section in sections.values():
-        if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
-            raise GoldenError(f"{RUN}: {', '.join(sections)} must be tables of strings")
-    protocols = tuple(_protocol(name, texts) for name in _protocol_names(content))
-    categories = content.get("categories", {})
-    if not isinstance(categories, dict) or not all(
-        isinstance(v, dict) for v in categories.values()
-    ):
-        raise GoldenError(f"{RUN}: categories must be tables")
-    try:
-        answers = _read_facts(texts[FACTS], seeds)
-        ranking = None
-        if _is_ranked(content):
-            ranking = _read_ranking(texts[DETECTIONS], categories, protocols)
-        table = RunTable(
-            method=method,
-            dataset=dataset,
-            identity=sections["identity"],
-            definitions=sections["definitions"],
-            provenance=sections["provenance"],
-            protocols=protocols,
-            samples=table_samples(protocols, answers),
-            listed=Counter(category for category, _ in answers.values()),
-            seeds=seeds,
-            ranking=ranking,
-            own_provenance=_own_provenance(categories),
-        )
-        again = table_texts(table)
-    except (DataError, ValueError) as error:
-        raise GoldenError(str(error)) from error
-    for name in again:
-        if again[name] != texts.get(name):
-            told = (
-                f"{name} is not as it is written"
-                if name in (FACTS, DETECTIONS)
-                else f"{name} is not what follows from the other files: one of them was edited"
-            )
-            raise GoldenError(told)
-    return table
-
-
-def _own_provenance(categories: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
-    """That of categories which were recorded by a run of their own."""
-    told = {}
-    for category, section in categories.items():
-        own = section.get("provenance", {})
-        if not isinstance(own, dict) or not all(isinstance(value, str) for value in own.values()):
-            raise GoldenError(f"{RUN}: [categories.{category}] is not what is recorded")
-        if own:
-            told[category] = own
-    return told
-
-
-def file_names(run_toml: str) -> list[str]:
-    """The other files of a table, as its ``run.toml`` names them; raises :class:`GoldenError`."""
-    content = _toml(RUN, run_toml)
-    ranked = [DETECTIONS] if _is_ranked(content) else []
-    return [FACTS, *ranked, *map(protocol_file, _protocol_names(content))]
-
-
-def _protocol_names(content: Mapping[str, Any]) -> list[str]:
-    names = content.get("protocols")
-    if not isinstance(names, list) or not all(
-        isinstance(name, str) and re.fullmatch("[a-z][a-z0-9-]*", name) for name in names
-    ):
-        raise GoldenError(f"{RUN}: protocols is {names!r}, expected names")
-    return names
-
-
-def _is_ranked(content: Mapping[str, Any]) -> bool:
-    ranked = content.get("detections")
-    if not isinstance(ranked, bool):
-        raise GoldenError(f"{RUN}: detections is {ranked!r}, expected true or false")
-    return ranked
-
-
-def _toml(name: str, text: str) -> dict[str, Any]:
-    try:
-        return parse_toml(name, text)
-    except DataError as error:
-        raise GoldenError(str(error)) from error
-
-
-def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
-    """A protocol of the table."""
-    file = protocol_file(name)
-    if file not in texts:
-        raise GoldenError(f"{file} is missing")
-    content = _toml(file, texts[file])
-    content.pop("cells", None)
-    try:
-        protocol = Protocol.parse(content, file)
-    except ProtocolError as error:
-        raise GoldenError(str(error)) from error
-    if protocol.name != name:
-        raise GoldenError(f"{file}: name is {protocol.name!r}, expected {name!r}")
-    return protocol
-
-
-def _read_facts(text: str, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...]]]:
-    """The category and the answers of each sample."""
-    lines = csv_lines(FACTS, lines_of(io.StringIO(text, newline=""), FACTS))
-    _, head = next(lines, (0, []))
-    first, names, last = head[: len(_KEYS)], head[len(_KEYS) : -1], head[-1:]
-    if (*first, *last) != (*_KEYS, _FAILURE):
-        raise ValueError(f"{FACTS}: expected {', '.join(_KEYS)}, facts and {_FAILURE}")
-    in_catalogue = [fact(name) for name in names]
-    answers: dict[str, tuple[str, list[Answer]]] = {}
-    for number, line in filter(itemgetter(1), lines):
-        if len(line) != len(head):
-            raise ValueError(f"{FACTS}, line {number}: {len(line)} fields, expected {len(head)}")
-        category, name, seed = line[: len(_KEYS)]
-        facts = {
-            made.name: _number(value, made)
-            for made, value in zip(in_catalogue, line[len(_KEYS) : -1], strict=True)
-        }
-        checked_text("category", category)
-        checked_text("sample", name)
-        own, given = answers.setdefault(sys.intern(name), (sys.intern(category), []))
-        if own != category or seed != str(len(given)):
-            raise ValueError(f"{FACTS}, line {number}: sample {name}, seed {seed}: out of order")
-        given.append(Answer(facts=facts, failure=line[-1] or None))
-    for name, (_, given) in answers.items():
-        if len(given) != seeds:
-            raise ValueError(f"{FACTS}: sample {name} has {len(given)} seeds, expected {seeds}")
-    return {name: (category, tuple(given)) for name, (category, given) in answers.items()}
-
-
-def _number(text: str, made: Fact) -> float | None:
-    if not text:
-        return None
-    number = real(text, -math.inf, math.inf)
-    if number == made.failed:
-        return number
-    return real(text, 0.0, made.most * (1 + 1e-6))
-
-
-def _read_ranking(text: str, stated: Mapping[str, Any], protocols: Sequence[Protocol]) -> Ranking:
-    columns = len(ranking_columns(protocols))
-    lines = csv_lines(DETECTIONS, lines_of(io.StringIO(text, newline=""), DETECTIONS))
-    if tuple(next(lines, (0, ()))[1]) != _DETECTION:
-        raise ValueError(f"{DETECTIONS}: expected the columns {', '.join(_DETECTION)}")
-    detections: dict[str, RankedDetection] = {}
-    for number, line in filter(itemgetter(1), lines):
-        if len(line) != len(_DETECTION) or not re.fullmatch(f"[01-]{{{columns}}}", line[-1]):
-            raise ValueError(f"{DETECTIONS}, line {number}: expected {', '.join(_DETECTION)}")
-        category, name, score, outcome = line
-        checked_text("category", category)
-        checked_text("detection", name)
-        value = real(score, -math.inf, math.inf)
-        detections[name] = RankedDetection(sys.intern(category), value, sys.intern(outcome))
-    counted = {
-        category: tuple(numbers)
-        for category, told in stated.items()
-        if isinstance(numbers := told.get("counted"), list) and numbers
-    }
-    for category, numbers in counted.items():
-        if len(numbers) != columns or not all(type(n) is int and n >= 0 for n in numbers):
-            raise ValueError(
-                f"{RUN}: counted of {category} is {numbers}, expected {columns} counts"
-            )
-    return Ranking(detections, counted)

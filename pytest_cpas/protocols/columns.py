@@ -30,6 +30,9 @@ _KINDS: Mapping[str, str] = {
 #: More levels than that are a slip of the pen.
 _MOST_LEVELS = 1000
 
+#: More columns than that have no line of a table.
+_MOST_COLUMNS = 900
+
 
 class ProtocolError(ContractError):
     """What is declared of a protocol is not what it must be."""
@@ -247,6 +250,8 @@ class _Parser:
         sections = self.content.get("columns")
         if not isinstance(sections, list) or not sections:
             raise self.fail("columns is empty or missing, expected [[columns]] tables")
+        if len(sections) > _MOST_COLUMNS:
+            raise self.fail(f"{len(sections)} columns, at most {_MOST_COLUMNS} are read")
         columns = [self.column(name, section) for section in sections]
         for kind in ("id", "label"):
             seen = [getattr(column, kind) for column in columns]

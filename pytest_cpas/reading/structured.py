@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
@@ -15,7 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pytest_cpas.reading.files import LARGEST, decoded, read_bytes
-from pytest_cpas.types import DataError
+from pytest_cpas.types import DataError, shown
 
 #: Levels of lists and tables within each other. No format that is read here has ten.
 DEEPEST = 64
@@ -30,6 +31,9 @@ _MANY_DASHES = re.compile(r"(?<!\S)(?:-[ \t]++){64}")
 
 _NOT_BRACKETS = bytes(sorted(set(range(256)) - set(b"[]{}")))
 
+#: What is perhaps a whole number of more than 64 bits, or stands in a text.
+_LONG_INTEGER = re.compile(r"\d[\d_]{17}|0[xob][0-9a-fA-F_]{15}")
+
 #: Keys one below the other in one name: the parser's time grows with the square of their number.
 _MANY_KEYS = re.compile(r"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
 
@@ -38,8 +42,8 @@ def parse_json(path: Path, content: bytes, kind: type = dict, *, constants: bool
     """The object, or what else of ``kind``, that a JSON file holds.
 
     ``constants``: NaN, Infinity and -Infinity, which are no JSON but are written by many, are read
-    as numbers; whoever needs a number checks that it is finite. Raises :class:`DataError` naming
-    ``path``.
+    as numbers; whoever needs a number checks that it is finite. A key that is there twice is an
+    error. Raises :class:`DataError` naming ``path``.
     """
     value = json_value(f"{path}", content, constants=constants)
     if not isinstance(value, kind):
@@ -52,7 +56,11 @@ def json_value(where: str, content: bytes, *, constants: bool = True) -> Any:
     if _depth(content) > DEEPEST:
         raise DataError(f"{where}: nested more than {DEEPEST} levels deep")
     try:
-        return json.loads(content, parse_constant=None if constants else _no_constant)
+        return json.loads(
+            content,
+            parse_constant=None if constants else _no_constant,
+            object_pairs_hook=_each_once,
+        )
     except (ValueError, RecursionError) as error:
         raise DataError(
             f"{where}: not readable JSON ({error}); is it truncated? Fetch it again"
@@ -78,6 +86,8 @@ def parse_toml(where: str, text: str) -> dict[str, Any]:
     except ValueError as error:
         raise DataError(f"{where}: {error}") from error
     _check_depth(where, content)
+    if _LONG_INTEGER.search(text):
+        _check_integers(where, content)
     return content
 
 
@@ -109,6 +119,15 @@ def read_yaml(path: Path) -> Any:
     return content
 
 
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; of a key that is there twice, nobody knows which value is meant."""
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise ValueError(f"key {shown(twice)} is there twice")
+    return content
+
+
 def _no_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
 
@@ -128,6 +147,17 @@ def _bracket_depth(content: bytes) -> int:
     codes = np.frombuffer(brackets, np.uint8)
     steps = np.where((codes == ord("[")) | (codes == ord("{")), 1, -1)
     return int(np.cumsum(steps).max(initial=0))
+
+
+def _check_integers(where: str, value: Any) -> None:
+    """TOML has 64 bits; Python reads more, and cannot always write them in an error."""
+    for part in value.values() if isinstance(value, dict) else value:
+        if isinstance(part, dict | list):
+            _check_integers(where, part)
+        elif isinstance(part, int) and not -(2**63) <= part < 2**63:
+            raise DataError(
+                f"{where}: a whole number of more than 64 bits, which TOML does not have"
+            )
 
 
 def _check_depth(where: str, value: Any) -> None:

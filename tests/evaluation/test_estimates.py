@@ -55,6 +55,23 @@ def test_other_text_is_refused(text):
         decode_estimates([text])
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        [0] * 9 + [0, 0, 1] + [1] * 3,
+        [1, 0, 0, 0, 1, 0, 0, 0, -1] + [0, 0, 1] + [1] * 3,
+        [2, 0, 0, 0, 2, 0, 0, 0, 2] + [0, 0, 1] + [1] * 3,
+        [3e38] * 9 + [0, 0, 1] + [1] * 3,
+        [1, 0, 0, 0, 1, 0, 0, 0, 1] + [0, 0, 3e38] + [1] * 3,
+        [1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 1, 0, 1],
+        [1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 1, -1, 1],
+    ],
+)
+def test_what_is_no_pose_is_refused(values):
+    with pytest.raises(ValueError, match=r"rotation is none|translation is beyond"):
+        decode_estimates([b64encode(struct.pack("<15f", *values)).decode()])
+
+
 @pytest.mark.parametrize("name", ["Perfect", "OtherFrames"])
 def test_rows_hold_the_answer_in_standard_frames(name):
     run = MethodRun(getattr(tiny, name)(), tiny.Tiny(None))

@@ -17,7 +17,8 @@ from tables import GOLDEN, a_row, a_run, rows, table, with_facts
 from pytest_cpas import golden
 from pytest_cpas.evaluation import Answer
 from pytest_cpas.golden import GoldenError, RunTable, read_golden, record
-from pytest_cpas.golden.texts import parse_table, table_texts
+from pytest_cpas.golden.parsing import parse_table
+from pytest_cpas.golden.texts import table_texts
 
 #: The files of a table in tests/tables.py.
 FILES = {"run.toml", "facts.csv", "cpas.toml"}

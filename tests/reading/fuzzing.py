@@ -353,17 +353,19 @@ def judged(path: Path) -> None:
 
 def results() -> list[bytes]:
     from pytest_cpas.evaluation.results import checksum_of
+    from pytest_cpas.facts import fact
 
+    facts = {"position_m": 0.01, "rotation_deg": 3.5, "iou": 0.9, "fscore_1cm": None, "nad": None}
     header = {
         "header": {
             "method": "m", "dataset": "d", "shard": "1/1", "selected": 2, "listed": {"mug": 2},
             "missing": [], "damaged": [], "identity": {"data": "x"},
-            "definitions": {"iou": "iou:oriented-symmetric:1"}, "provenance": {"code": "y"},
-            "seeds": 1, "under_contract": True, "nonce": "00",
+            "definitions": {name: fact(name).definition for name in facts},
+            "provenance": {"code": "y"}, "files": {"a.py": "z"}, "seeds": 1,
+            "under_contract": True, "nonce": "00",
         },
         "format": FORMAT,
     }  # fmt: skip
-    facts = {"position_m": 0.01, "rotation_deg": 3.5, "iou": 0.9, "fscore_1cm": None, "nad": None}
     answer = {"facts": facts, "failure": None, "estimate": None}
     row = {"answers": [answer], "shape": None}
     none = facts | {
@@ -382,7 +384,7 @@ def results() -> list[bytes]:
         {"contract": contract},
         {"row": row, "ref": ["a/0", "mug", "a", ""]},
         {"error": "it raised", "ref": ["a/1", "mug", "a", ""]},
-        {"program": {"code": "z"}},
+        {"program": {"code": "z"}, "files": {"a.py": "w"}},
         {"row": failed, "ref": ["a/1", "mug", "a", ""]},
     ]
     made, last = b"", b""
@@ -393,7 +395,7 @@ def results() -> list[bytes]:
     return [made]
 
 
-FORMAT = 6
+FORMAT = 7
 
 
 def merged(path: Path) -> None:

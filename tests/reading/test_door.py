@@ -43,6 +43,7 @@ EXCEPTIONS = {
     ("pytest_cpas/report/export.py", "import csv"): "writes the tables of a report",
     ("pytest_cpas/report/_html.py", "import xml"): "builds a page, and parses none",
     ("pytest_cpas/datasets/synthetic.py", "import pickle"): "writes a truth file of the cache",
+    ("pytest_cpas/evaluation/results_file.py", "open"): "the file that is written, no link",
     ("pytest_cpas/evaluation/results_file.py", "io.FileIO"): "the type of the file being written",
     # what ships in the wheel
     ("pytest_cpas/new_adapter.py", "read_text"): "the templates that ship with the package",

@@ -493,8 +493,8 @@ def test_row_under_a_right_checksum(edit, words, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("0.01,", "nan,", "line 3: 'nan', expected a number from 0"),
-        ("0.01,", "-1,", "line 3: '-1'"),
+        ("0.01,", "nan,", "line 3: 'nan', expected a number from -inf"),
+        ("0.01,", "-1,", "line 3: position_m is '-1', expected 0 to inf"),
         ("0.01,", "x,", "line 3: could not convert"),
         ("0.01,", '"\n', "line"),
         ("a/1,", "a/0,", "line 3: sample a/0 is there twice"),

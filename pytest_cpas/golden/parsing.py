@@ -1,0 +1,262 @@
+"""Golden tables from the texts of their files, of which every number is checked.
+
+What the facts and the detections say must be what a run can give; all the rest follows from them:
+it is written anew and compared.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from operator import itemgetter
+from typing import Any
+
+from pytest_cpas.evaluation import Answer
+from pytest_cpas.facts import Fact, fact
+from pytest_cpas.golden.tables import GoldenError, RunTable, table_samples
+from pytest_cpas.golden.texts import (
+    DETECTION,
+    DETECTIONS,
+    FACTS,
+    FAILURE,
+    FORMAT,
+    KEYS,
+    RUN,
+    protocol_file,
+    table_texts,
+)
+from pytest_cpas.protocols import Protocol, ProtocolError, RankedDetection, Ranking, ranking_columns
+from pytest_cpas.reading.files import lines_of
+from pytest_cpas.reading.structured import parse_toml
+from pytest_cpas.reading.tables import csv_lines, real
+from pytest_cpas.types import DataError, SampleRef, shown
+from pytest_cpas.types._arrays import MAX
+
+__all__ = ["checked_fact", "file_names", "parse_table"]
+
+#: Share of a limit by which rounding may exceed it.
+_SLACK = 1e-9
+
+#: Protocols that a table may be judged under.
+_MOST_PROTOCOLS = 100
+
+
+def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable:
+    """A table from the texts of its files, by name.
+
+    Raises :class:`GoldenError` if they are not, or do not belong together.
+    """
+    content = _toml(RUN, texts[RUN])
+    if content.get("format") != FORMAT:
+        raise GoldenError(
+            f"{RUN}: format is {shown(content.get('format'))}, this version reads {FORMAT}"
+        )
+    seeds = content.get("seeds")
+    if type(seeds) is not int or not 1 <= seeds < 2**31:
+        raise GoldenError(f"{RUN}: seeds is {shown(seeds)}, expected at least 1")
+    sections = {name: content.get(name, 0) for name in ("identity", "definitions", "provenance")}
+    for section in sections.values():
+        if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
+            raise GoldenError(f"{RUN}: {', '.join(sections)} must be tables of strings")
+    protocols = tuple(_protocol(name, texts) for name in _protocol_names(content))
+    categories = content.get("categories", {})
+    if not isinstance(categories, dict) or not all(
+        isinstance(v, dict) for v in categories.values()
+    ):
+        raise GoldenError(f"{RUN}: categories must be tables")
+    try:
+        answers = _read_facts(texts[FACTS], seeds)
+        ranking = None
+        if _is_ranked(content):
+            ranking = _read_ranking(texts[DETECTIONS], categories, protocols)
+            _check_ranking(ranking, Counter(category for category, _ in answers.values()))
+        table = RunTable(
+            method=method,
+            dataset=dataset,
+            identity=sections["identity"],
+            definitions=sections["definitions"],
+            provenance=sections["provenance"],
+            protocols=protocols,
+            samples=table_samples(protocols, answers),
+            listed=Counter(category for category, _ in answers.values()),
+            seeds=seeds,
+            ranking=ranking,
+            own_provenance=_own_provenance(categories),
+        )
+        again = table_texts(table)
+    except ValueError as error:  # DataError is one
+        raise GoldenError(str(error)) from error
+    for name in again:
+        if again[name] != texts.get(name):
+            told = (
+                f"{name} is not as it is written"
+                if name in (FACTS, DETECTIONS)
+                else f"{name} is not what follows from the other files: one of them was edited"
+            )
+            raise GoldenError(told)
+    return table
+
+
+def _own_provenance(categories: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """That of categories which were recorded by a run of their own."""
+    told = {}
+    for category, section in categories.items():
+        own = section.get("provenance", {})
+        if not isinstance(own, dict) or not all(isinstance(value, str) for value in own.values()):
+            raise GoldenError(f"{RUN}: [categories.{category}] is not what is recorded")
+        if own:
+            told[category] = own
+    return told
+
+
+def file_names(run_toml: str) -> list[str]:
+    """The other files of a table, as its ``run.toml`` names them; raises :class:`GoldenError`."""
+    content = _toml(RUN, run_toml)
+    ranked = [DETECTIONS] if _is_ranked(content) else []
+    return [FACTS, *ranked, *map(protocol_file, _protocol_names(content))]
+
+
+def _protocol_names(content: Mapping[str, Any]) -> list[str]:
+    names = content.get("protocols")
+    if (
+        not isinstance(names, list)
+        or not all(isinstance(n, str) and re.fullmatch("[a-z][a-z0-9-]{0,39}", n) for n in names)
+        or not 0 < len(names) == len(set(names)) <= _MOST_PROTOCOLS
+    ):
+        raise GoldenError(
+            f"{RUN}: protocols is {shown(names)}, expected different names, at most"
+            f" {_MOST_PROTOCOLS}"
+        )
+    return names
+
+
+def _is_ranked(content: Mapping[str, Any]) -> bool:
+    ranked = content.get("detections")
+    if not isinstance(ranked, bool):
+        raise GoldenError(f"{RUN}: detections is {shown(ranked)}, expected true or false")
+    return ranked
+
+
+def _toml(name: str, text: str) -> dict[str, Any]:
+    try:
+        return parse_toml(name, text)
+    except DataError as error:
+        raise GoldenError(str(error)) from error
+
+
+def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
+    """A protocol of the table."""
+    file = protocol_file(name)
+    if file not in texts:
+        raise GoldenError(f"{file} is missing")
+    content = _toml(file, texts[file])
+    content.pop("cells", None)
+    try:
+        protocol = Protocol.parse(content, file)
+    except ProtocolError as error:
+        raise GoldenError(str(error)) from error
+    if protocol.name != name:
+        raise GoldenError(f"{file}: name is {protocol.name!r}, expected {name!r}")
+    return protocol
+
+
+def _read_facts(text: str, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...]]]:
+    """The category and the answers of each sample."""
+    lines = csv_lines(FACTS, lines_of(io.StringIO(text, newline=""), FACTS))
+    _, head = next(lines, (0, []))
+    first, names, last = head[: len(KEYS)], head[len(KEYS) : -1], head[-1:]
+    if (*first, *last) != (*KEYS, FAILURE):
+        raise ValueError(f"{FACTS}: expected {', '.join(KEYS)}, facts and {FAILURE}")
+    in_catalogue = [fact(name) for name in names]
+    answers: dict[str, tuple[str, list[Answer]]] = {}
+    for number, line in filter(itemgetter(1), lines):
+        if len(line) != len(head):
+            raise ValueError(f"{FACTS}, line {number}: {len(line)} fields, expected {len(head)}")
+        category, name, seed = line[: len(KEYS)]
+        failed = bool(line[-1])
+        try:
+            facts = {
+                made.name: checked_fact(value, made, failed=failed)
+                for made, value in zip(in_catalogue, line[len(KEYS) : -1], strict=True)
+            }
+            if name not in answers:
+                SampleRef(id=name, category=category, scene="")  # checks both
+        except ValueError as error:
+            raise ValueError(f"{FACTS}, line {number}: {error}") from None
+        own, given = answers.setdefault(sys.intern(name), (sys.intern(category), []))
+        if own != category or seed != str(len(given)):
+            raise ValueError(f"{FACTS}, line {number}: sample {name}, seed {seed}: out of order")
+        given.append(Answer(facts=facts, failure=line[-1] or None))
+    for name, (_, given) in answers.items():
+        if len(given) != seeds:
+            raise ValueError(f"{FACTS}: sample {name} has {len(given)} seeds, expected {seeds}")
+    return {name: (category, tuple(given)) for name, (category, given) in answers.items()}
+
+
+def checked_fact(text: str, made: Fact, *, failed: bool) -> float | None:
+    """The fact that a field holds, None if it is empty; ValueError for what no run gives.
+
+    Of an answer that ``failed`` it meets no limit; of any other it is in its range.
+    """
+    if not text:
+        return None
+    number = real(text, -math.inf, math.inf)
+    if number == made.failed if failed else 0 <= number <= min(made.most * (1 + _SLACK), MAX):
+        return number
+    expected = f"{made.failed} where there is a failure" if failed else f"0 to {made.most:g}"
+    raise ValueError(f"{made.name} is {shown(text)}, expected {expected}")
+
+
+def _read_ranking(text: str, stated: Mapping[str, Any], protocols: Sequence[Protocol]) -> Ranking:
+    columns = len(ranking_columns(protocols))
+    lines = csv_lines(DETECTIONS, lines_of(io.StringIO(text, newline=""), DETECTIONS))
+    if tuple(next(lines, (0, ()))[1]) != DETECTION:
+        raise ValueError(f"{DETECTIONS}: expected the columns {', '.join(DETECTION)}")
+    detections: dict[str, RankedDetection] = {}
+    for number, line in filter(itemgetter(1), lines):
+        if len(line) != len(DETECTION) or not re.fullmatch(f"[01-]{{{columns}}}", line[-1]):
+            raise ValueError(f"{DETECTIONS}, line {number}: expected {', '.join(DETECTION)}")
+        category, name, score, outcome = line
+        try:
+            SampleRef(id=name, category=category, scene="")  # checks both
+            value = real(score, -MAX, MAX)
+        except ValueError as error:
+            raise ValueError(f"{DETECTIONS}, line {number}: {error}") from None
+        detections[name] = RankedDetection(sys.intern(category), value, sys.intern(outcome))
+    counted = {
+        category: tuple(numbers)
+        for category, told in stated.items()
+        if isinstance(numbers := told.get("counted"), list) and numbers
+    }
+    for category, numbers in counted.items():
+        if len(numbers) != columns or not all(type(n) is int and n >= 0 for n in numbers):
+            raise ValueError(
+                f"{RUN}: counted of {shown(category)} is {shown(numbers)}, expected {columns}"
+                " counts"
+            )
+    return Ranking(detections, counted)
+
+
+def _check_ranking(ranking: Ranking, samples: Mapping[str, int]) -> None:
+    """ValueError unless objects are counted that there are, and no more detections are right."""
+    right: dict[str, Counter[int]] = {}
+    for detection in ranking.detections.values():
+        places = (i for i, letter in enumerate(detection.outcome) if letter == "1")
+        right.setdefault(detection.category, Counter()).update(places)
+    for category in sorted({*right, *ranking.counted}):
+        counted = ranking.counted.get(category, ())
+        most = samples.get(category, 0)
+        if max(counted, default=0) > most:
+            raise ValueError(
+                f"{RUN}: counted of {category} is {max(counted)}, but {FACTS} has {most} samples"
+            )
+        for index, number in right.get(category, Counter()).items():
+            if number > (objects := counted[index] if counted else 0):
+                raise ValueError(
+                    f"{DETECTIONS}: {number} detections of {category} are right in column"
+                    f" {index + 1}, but {RUN} counts {objects} objects"
+                )
