@@ -15,7 +15,7 @@ from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.evaluation.surroundings import united
-from pytest_cpas.evaluation.watchdog import Limit, Limited
+from pytest_cpas.evaluation.watchdog import ChannelError, Limit, Limited
 from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
 from pytest_cpas.reading.files import sha256
@@ -206,6 +206,8 @@ class MethodRun(Run):
                 predictions = self.limit.predict(
                     method, batch, seed, f"{where}: predict", sample=ref.id
                 )
+        except ChannelError as error:
+            raise SampleError(str(error)) from None
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
         except Exception as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import json
@@ -9,7 +10,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pytest_cpas._files import LinkError, check_no_link
 from pytest_cpas.evaluation.program import UNKNOWN
@@ -147,8 +148,13 @@ class ResultsFile:
     def __exit__(self, *exception: object) -> None:
         """End writing."""
         if self._file is not None:
-            self._file.close()
-            self._file = None
+            try:
+                if exception[:1] == (None,):
+                    self._check()
+            finally:
+                with contextlib.suppress(OSError):  # somebody has closed its descriptor
+                    self._file.close()
+                self._file = None
 
     def add(self, row: Row) -> None:
         """Append a row."""
@@ -174,20 +180,31 @@ class ResultsFile:
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
-            there = self.path.stat()
-        except FileNotFoundError:
-            there = None
         except OSError as error:
             raise ResultsError(
                 f"{self.path}: cannot be written ({error}); what it holds is good, so the same"
                 " command goes on from there once it can"
             ) from error
-        if there is None or not os.path.samestat(there, os.fstat(self._file.fileno())):
+        self._size += len(checksum) + 1 + len(text) + 1
+        self._last = checksum
+        self._check()
+
+    def _check(self) -> None:
+        """See that the file is there, and has what was written alone."""
+        try:
+            there, held = self.path.stat(), os.fstat(cast(io.FileIO, self._file).fileno())
+        except OSError:
+            there = held = None
+        if there is None or held is None or not os.path.samestat(there, held):
             raise ResultsError(
                 f"{self.path} was removed or replaced while this run was writing it, so its rows"
                 " are lost. Run the same command again"
             )
-        self._last = checksum
+        if there.st_size != self._size:
+            raise ResultsError(
+                f"{self.path} has {there.st_size} bytes, and this run knows of {self._size}: a"
+                " method, a plugin or another program has written into it. Remove it and run again"
+            )
 
 
 def _stamp(path: Path) -> tuple[int, ...] | None:

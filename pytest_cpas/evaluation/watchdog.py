@@ -16,6 +16,8 @@ import faulthandler
 import inspect
 import json
 import os
+import secrets
+import select
 import signal
 import subprocess
 import sys
@@ -24,12 +26,17 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from pytest_cpas.reading.text import terminal_lines
-from pytest_cpas.types import Method, Observation, Prediction
+from pytest_cpas.types import ContractError, Method, Observation, Prediction
 
-__all__ = ["Limit", "Limited", "Watchdog", "can_watch", "parse_seconds"]
+try:
+    import fcntl
+except ImportError:  # where nothing is watched either
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["ChannelError", "Limit", "Limited", "Watchdog", "can_watch", "parse_seconds"]
 
 #: Longest text of a call, characters: its line is written to a pipe as a whole.
 _LONGEST = 1000
@@ -51,22 +58,54 @@ def parse_seconds(text: str) -> float:
     return seconds
 
 
+class ChannelError(ContractError):
+    """Foreign code has cut the line to the process that watches its time."""
+
+
+class _Descriptor:
+    """A file descriptor, and which file it was made for: foreign code may have closed it, and
+    another file may have its number since."""
+
+    def __init__(self, number: int) -> None:
+        self.number, self._file = number, _file_of(number)
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is still open, and of the same file."""
+        return self._file is not None and _file_of(self.number) == self._file
+
+    def close(self) -> None:
+        """Close it, unless somebody has done so."""
+        if self.whole:
+            os.close(self.number)
+
+
+def _file_of(number: int) -> tuple[int, int] | None:
+    try:
+        seen = os.fstat(number)
+    except OSError:
+        return None
+    return seen.st_dev, seen.st_ino
+
+
 class Watchdog:
     """Ends this process with SIGKILL when a call takes too long, and says where it was.
 
     ``note``: a file for what was found, for whoever looks after this
     process; ``stderr``: the file descriptor where it is said, None for nowhere. ``about``: what
-    else goes into the note, plain values; whoever knows them sets them.
+    else goes into the note, plain values; whoever knows them sets them. ``gone``: the signal by
+    which the kernel ends this process if the watching one is gone, where the kernel does that.
     """
 
-    def __init__(self, *, note: Path | None = None, stderr: int | None = None) -> None:
+    def __init__(
+        self, *, note: Path | None = None, stderr: int | None = None, gone: int | None = None
+    ) -> None:
         """Nothing is started before the first call."""
         self.about: Mapping[str, Any] = {}
-        self._note = note
-        self._stderr = None if stderr is None else os.dup(stderr)
+        self._note, self._gone = note, gone
+        self._stderr = None if stderr is None else _Descriptor(os.dup(stderr))
         self._owner = os.getpid()
-        self._process: subprocess.Popen[bytes] | None = None
-        self._dump: IO[bytes] | None = None
+        self._watching: _Watching | None = None
         self._number = _unused_signal()
 
     @contextlib.contextmanager
@@ -77,7 +116,8 @@ class Watchdog:
 
         ``what``: the block, in words; ``hint``: what to do about it; ``file``: the source
         of the foreign code, so that its line is named; ``about``: more for the note. A copy of this
-        process is not watched.
+        process is not watched. Raises :class:`ChannelError` after a block that was not watched to
+        its end.
         """
         if os.getpid() != self._owner:
             yield
@@ -91,61 +131,105 @@ class Watchdog:
             "file": file,
             "hint": terminal_lines(hint)[:_LONGEST],
         }
-        self._say(json.dumps(call))
+        line = json.dumps(call)
+        if self._watching is None or not self._watching.say(line, self._number):
+            # between two calls nothing was watched that could be missed
+            self._end()
+            self._watching = self._started()
+            if not self._watching.say(line, self._number):
+                raise ChannelError("the process that watches its time has ended at once")
         try:
             yield
         finally:
-            self._say("")
+            if not self._watching.say("", self._number):
+                self._end()
+                raise ChannelError(
+                    f"{call['what']}: the process that watches its time was ended, or descriptors"
+                    " that lead to it were closed, during the call; close and end only what you"
+                    " have opened and started"
+                )
 
     def close(self) -> None:
         """Watch no longer."""
-        if self._process is not None and os.getpid() == self._owner:
+        if os.getpid() == self._owner:
             self._end()
         if self._stderr is not None:
-            os.close(self._stderr)
+            self._stderr.close()
             self._stderr = None
 
-    def _say(self, line: str) -> None:
-        data = line.encode() + b"\n"
-        pipe = self._started()
-        if line and self._dump is not None:
-            # anew each time: foreign code may have taken the signal for itself
-            faulthandler.register(self._number, file=self._dump, all_threads=True, chain=False)
-        try:
-            os.write(pipe, data)
-        except BrokenPipeError:  # somebody has killed the watching process
-            self._end()
-            os.write(self._started(), data)
-
-    def _started(self) -> int:
-        if self._process is None:
-            descriptor, dump = tempfile.mkstemp(prefix="pytest-cpas-stacks-")
-            self._dump_path = Path(dump)
-            self._dump = os.fdopen(descriptor, "wb", buffering=0)
-            command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("watching.py"))]
-            command += [str(self._owner), str(int(self._number)), dump]
-            command += [] if self._note is None else [str(self._note)]
-            self._process = subprocess.Popen(  # noqa: S603 - our own file
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL if self._stderr is None else self._stderr,
-            )
-            faulthandler.register(self._number, file=self._dump, all_threads=True, chain=False)
-        return self._process.stdin.fileno()  # type: ignore[union-attr]
+    def _started(self) -> _Watching:
+        stderr = self._stderr if self._stderr is not None and self._stderr.whole else None
+        return _Watching(self._number, self._note, stderr, self._gone)
 
     def _end(self) -> None:
-        process, self._process = self._process, None
-        dump, self._dump = self._dump, None
-        faulthandler.unregister(self._number)
-        if process is not None and process.stdin is not None:
-            with contextlib.suppress(OSError):
-                process.stdin.close()
-            process.wait()
-        if dump is not None:
-            dump.close()
-            # a watching process that was killed has left it
-            self._dump_path.unlink(missing_ok=True)
+        watching, self._watching = self._watching, None
+        if watching is not None:
+            faulthandler.unregister(self._number)
+            watching.end()
+
+
+class _Watching:
+    """The watching process, which is no child of this one: who waits for all children, or ends all
+    of them, does not mean it. And the line to it."""
+
+    def __init__(
+        self, number: int, note: Path | None, stderr: _Descriptor | None, gone: int | None
+    ) -> None:
+        """Start it; raises :class:`OSError`."""
+        dump, self._path = tempfile.mkstemp(prefix="pytest-cpas-stacks-")
+        heard, line = os.pipe()
+        alive, its_end = os.pipe()
+        self._dump, self._line, self._alive = map(_Descriptor, (dump, line, alive))
+        # no line of anybody else's is taken for one of these
+        self._word = secrets.token_hex(8)
+        command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("watching.py"))]
+        command += [str(os.getpid()), str(int(number)), self._path, self._word]
+        command += [] if note is None else [str(note)]
+        try:
+            process = subprocess.Popen(  # noqa: S603 - our own file
+                command,
+                stdin=heard,
+                stdout=its_end,
+                stderr=subprocess.DEVNULL if stderr is None else stderr.number,
+            )
+        finally:
+            os.close(heard)
+            os.close(its_end)
+        told = os.read(alive, 100)
+        process.wait()
+        if not told:
+            raise OSError("the process that watches the time of calls cannot be started")
+        self.pid = int(told)
+        os.set_blocking(line, False)  # of a process that was stopped
+        if gone is not None and hasattr(fcntl, "F_SETSIG"):
+            # its end of this pipe is closed when it ends, however it does
+            fcntl.fcntl(alive, fcntl.F_SETOWN, os.getpid())
+            fcntl.fcntl(alive, fcntl.F_SETSIG, gone)
+            fcntl.fcntl(alive, fcntl.F_SETFL, fcntl.fcntl(alive, fcntl.F_GETFL) | os.O_ASYNC)
+
+    def say(self, line: str, number: int) -> bool:
+        """Say that a call began, or that it ended; False if nobody hears it."""
+        if not (self._line.whole and self._alive.whole and self._dump.whole):
+            return False
+        if line:
+            # anew each time: foreign code may have taken the signal for itself
+            faulthandler.register(number, file=self._dump.number, all_threads=True, chain=False)
+        # what somebody else has begun to write ends before it
+        data = f"\n{self._word}{line}\n".encode()
+        try:
+            return os.write(self._line.number, data) == len(data)
+        except (BrokenPipeError, BlockingIOError):
+            return False
+
+    def end(self) -> None:
+        """End it, unless it has ended."""
+        over = self._alive.whole and bool(select.select([self._alive.number], [], [], 0)[0])
+        for descriptor in (self._alive, self._line, self._dump):
+            descriptor.close()
+        with contextlib.suppress(OSError):
+            if not over:  # it may have been stopped, and would hear nothing
+                os.kill(self.pid, signal.SIGKILL)
+            os.unlink(self._path)
 
 
 @dataclass(frozen=True, kw_only=True)

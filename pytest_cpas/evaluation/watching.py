@@ -2,8 +2,10 @@
 
 It is of the standard library alone, started as a file by :mod:`pytest_cpas.evaluation.watchdog`,
 and has no part in what may hang: no thread, lock or signal handler of the watched process is needed
-to find that its time is up. Each line of its standard input is a call that began, as JSON; an empty
-one says that the call ended. It ends when its input does, or when its parent is gone.
+to find that its time is up. Each line of its standard input that begins with a word which the two
+share is a call that began, as JSON; the word alone says that the call ended. Other lines were
+written by somebody else. It ends when the watched process does, or when its input does and no call
+is under way: one that is may have cut the line, and is watched all the same.
 """
 
 from __future__ import annotations
@@ -18,6 +20,9 @@ import sys
 import time
 from pathlib import Path
 from typing import Any
+
+#: Where it is said what calls begin and end.
+INPUT = 0
 
 #: Seconds from one look at the clock to the next. Longer gaps count as one: the machine was busy,
 #: or this process was stopped, and the watched one with it.
@@ -38,32 +43,54 @@ class Watch:
     ``note``: where it is written for others what was found, as JSON; None for nowhere.
     """
 
-    def __init__(self, pid: int, number: int, dump: Path, note: Path | None) -> None:
+    def __init__(self, pid: int, number: int, dump: Path, word: str, note: Path | None) -> None:
         self.pid, self.number, self.dump, self.note = pid, number, dump, note
         self.call: dict[str, Any] | None = None
+        self.spent = 0.0
+        self._word = word.encode()
         self._rest = b""
+        # readable when the process ends, whichever process has its number then
+        self._ended = [os.pidfd_open(pid)] if hasattr(os, "pidfd_open") else []
+        self._inputs = [INPUT]
 
-    def read(self, timeout: float) -> bool:
-        """Take in what calls began and ended, at most the last; False at the end of the input."""
-        if not select.select([0], [], [], timeout)[0]:
-            return True
-        content = os.read(0, 1 << 16)
-        *lines, self._rest = (self._rest + content).split(b"\n")
+    def read(self, timeout: float) -> None:
+        """Take in what calls began and ended, at most the last."""
+        if INPUT not in select.select([*self._inputs, *self._ended], [], [], timeout)[0]:
+            return
+        content = os.read(INPUT, 1 << 16)
+        if not content:
+            self._inputs = []
+        *lines, rest = (self._rest + content).split(b"\n")
+        self._rest = rest[-(1 << 16) :]
+        lines = [line for line in lines if line.startswith(self._word)]
         if lines:
-            self.call = json.loads(lines[-1]) if lines[-1] else None
+            told = lines[-1].removeprefix(self._word)
+            self.call = json.loads(told) if told else None
             self.spent = 0.0
-        return bool(content)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the watched process has ended."""
+        if self._ended:
+            return bool(select.select(self._ended, [], [], 0)[0])
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return True
+        return False
 
     def run(self) -> None:
         """Watch until there is nothing to watch, or until it has been ended."""
         last = time.monotonic()
-        self.spent = 0.0
-        while os.getppid() == self.pid and self.read(TICK if self.call else 10 * TICK):
+        while not self.ended and (self._inputs or self.call):
+            self.read(TICK if self.call else 10 * TICK)
             now = time.monotonic()
             self.spent += min(now - last, LONGEST_TICK)
             last = now
             # what has been said meanwhile is heard before anything is done
-            if self.over and self.read(0) and self.over:
+            if self.over:
+                self.read(0)
+            if self.over:
                 self.end()
                 return
 
@@ -74,7 +101,16 @@ class Watch:
 
     def end(self) -> None:
         """Dump the stacks of the watched process, say what is known, and kill it."""
-        call = self.call or {}
+        try:
+            self.tell(self.call or {})
+        except OSError:
+            pass  # whatever somebody has closed or removed meanwhile
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+
+    def tell(self, call: dict[str, Any]) -> None:
+        """Say what is known, in the note and on the terminal."""
         stacks = self.stacks()
         text = (
             f"{call['what']} took longer than {call['seconds']:g} s; {where(stacks, call)}.\n"
@@ -82,14 +118,15 @@ class Watch:
         )
         # the first line for those who take only one
         content = f"{text}\nStacks of all threads:\n{stacks.rstrip() or 'unknown'}"
-        if self.note is not None:
-            unfinished = self.note.with_suffix(".unfinished")
-            unfinished.write_text(json.dumps({**call, "text": content}), encoding="utf-8")
-            unfinished.replace(self.note)
+        said = False
         with contextlib.suppress(OSError):
             os.write(2, f"\nERROR: {content}\n".encode("utf-8", "backslashreplace"))
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(self.pid, signal.SIGKILL)
+            said = not os.path.samestat(os.fstat(2), os.stat(os.devnull))
+        if self.note is not None:
+            unfinished = self.note.with_suffix(".unfinished")
+            told = {**call, "text": content, "said": said}
+            unfinished.write_text(json.dumps(told), encoding="utf-8")
+            unfinished.replace(self.note)
 
     def stacks(self) -> str:
         """What the watched process dumps; empty if it cannot."""
@@ -99,7 +136,9 @@ class Watch:
         content = b""
         while time.monotonic() < began + _LONGEST_DUMP:
             time.sleep(0.05)
-            before, content = content, self.dump.read_bytes()
+            before = content
+            with contextlib.suppress(OSError):  # it may have been removed
+                content = self.dump.read_bytes()
             if content != before:
                 changed = time.monotonic()
             elif content and time.monotonic() > changed + _WHOLE:
@@ -138,8 +177,11 @@ if __name__ == "__main__":
     # who interrupts a run means the run; the end of this process follows from the end of that
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(each, signal.SIG_IGN)
-    pid, number, dump, *note = sys.argv[1:]
-    watch = Watch(int(pid), int(number), Path(dump), Path(note[0]) if note else None)
+    pid, number, dump, word, *note = sys.argv[1:]
+    watch = Watch(int(pid), int(number), Path(dump), word, Path(note[0]) if note else None)
+    if os.fork():
+        os._exit(0)  # the other half has no parent that could wait for it, or end it as a child
+    os.write(1, str(os.getpid()).encode())
     try:
         watch.run()
     finally:

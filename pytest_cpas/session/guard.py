@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import ctypes
+import json
 import mmap
 import os
 import shlex
@@ -65,6 +66,10 @@ _OWN = {
 #: How long the child may take to say that it was interrupted, before it is interrupted once more.
 _GRACE = 0.25  # seconds
 
+#: The signal by which the kernel ends a process whose watching process is gone; one that nobody
+#: handles, and whose default is to end a process. None where there is none such.
+WATCHING_GONE = signal.SIGRTMAX - 2 if hasattr(signal, "SIGRTMAX") else None
+
 _PDEATHSIG = 1  # prctl's PR_SET_PDEATHSIG
 
 #: Set by ``pytest-cpas``, which calls ``pytest.main`` and is a command of its own all the same.
@@ -100,6 +105,10 @@ class Record:
         """Note that the run was interrupted, now."""
         self._write(8, struct.pack("d", time.monotonic()))
 
+    def lose_output(self) -> None:
+        """Note that what pytest prints may not arrive."""
+        self._write(2, b"\1")
+
     def finish(self, status: int) -> None:
         """Note that the session is over, and pytest's exit status."""
         self._write(0, bytes([1, status & 0xFF]))
@@ -124,6 +133,11 @@ class Record:
         """When the run was interrupted, by the monotonic clock; 0 if it was not."""
         when: float = struct.unpack("d", self._page[8:16])[0]
         return when
+
+    @property
+    def output_lost(self) -> bool:
+        """Whether what pytest printed may not have arrived."""
+        return bool(self._page[2])
 
     @property
     def status(self) -> int | None:
@@ -166,6 +180,9 @@ class Guard:
     def __init__(self, record: Record, items: SeenItems) -> None:
         self.record, self._items = record, items
         self._status: int | None = None
+        self._outputs = {_file_of(1), _file_of(2)} - {None}
+        #: Where pytest keeps what it prints to while it captures what is printed.
+        self._kept: dict[int, tuple[int, int] | None] = {}
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_load_initial_conftests(self) -> Generator[None, object, object]:
@@ -177,9 +194,16 @@ class Guard:
                 error
             )
 
+    def pytest_sessionstart(self) -> None:
+        """Capturing has begun."""
+        files = {number: _file_of(number) for number in range(3, 100)}
+        self._kept = {number: file for number, file in files.items() if file in self._outputs}
+
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         """An item begins."""
-        self.record.begin(nodeid)
+        self._see_outputs()
+        if not self.record.output_lost:  # else it is the last item that counts
+            self.record.begin(nodeid)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_keyboard_interrupt(self) -> None:
@@ -189,6 +213,7 @@ class Guard:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> Generator[None, object, object]:
         """Everything is printed; the status is what it has to be."""
+        self._see_outputs()
         result = yield
         self._status = int(session.exitstatus)
         session.exitstatus = self._status = self._held(session.config, self._status)
@@ -204,9 +229,17 @@ class Guard:
             if error.code:
                 raise
             status = self._status or 0
+        finally:
+            if self.record.held:
+                with contextlib.suppress(OSError):  # should somebody have stopped the parent
+                    os.kill(os.getppid(), signal.SIGCONT)
         status = self._held(config, status)
         self.record.finish(status)
         return status
+
+    def _see_outputs(self) -> None:
+        if any(_file_of(number) != file for number, file in self._kept.items()):
+            self.record.lose_output()
 
     def _held(self, config: pytest.Config, status: int) -> int:
         """The status; 1 instead of 0 if that would be untrue, and why is said."""
@@ -232,6 +265,15 @@ class Guard:
         if failed := below(nodes, items.failed(nodes)):
             return f"{failed[0]} failed, and a plugin made that a success"
         return ""
+
+
+def _file_of(number: int) -> tuple[int, int] | None:
+    """Which file a descriptor is of; None if it is closed."""
+    try:
+        seen = os.fstat(number)
+    except OSError:
+        return None
+    return seen.st_dev, seen.st_ino
 
 
 # -- the parent -----------------------------------------------------------------------------------
@@ -342,17 +384,30 @@ def _end(status: int, record: Record) -> NoReturn:
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
         if number == signal.SIGKILL and (note := record.note):
-            # what ended it has said why
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, ValueError):
+                told = json.loads(note.read_text(encoding="utf-8"))
+                if not told["said"]:
+                    _say(told["text"])
                 note.unlink()
                 note.parent.rmdir()
             _say("a time limit has ended pytest; no verdict was told; the exit status is 1")
             os._exit(int(pytest.ExitCode.TESTS_FAILED))
-        if record.status is None:
+        if number == WATCHING_GONE:
+            _say(
+                "the process that watches the time of calls was ended, and pytest with it"
+                f"{_where(record)}; no verdict was told. Something has killed it there: end only"
+                " processes that you have started"
+            )
+        elif record.status is None:
             hint = " (out of memory?)" if number == signal.SIGKILL else ""
             _say(f"pytest was ended by {_name(number)}{hint}{_where(record)}; no verdict was told")
         _end_by(number)
     code = os.WEXITSTATUS(status)
+    if record.output_lost and (code or record.status):
+        _say(
+            f"descriptors that pytest prints to were closed{_where(record)}, so what it printed may"
+            " be lost. A method, a data set or a plugin is to close only what it has opened"
+        )
     if record.status is None and (not code or record.item):
         _say(
             f"the process of pytest ended with exit status {code}{_where(record)}; no verdict was"
@@ -360,9 +415,12 @@ def _end(status: int, record: Record) -> NoReturn:
             + ("" if code else "; the exit status is 1, not 0")
         )
         code = code or int(pytest.ExitCode.TESTS_FAILED)
-    elif record.status and not code:
-        code = record.status
-        _say(f"the process of pytest ended with exit status 0 after pytest had given {code}")
+    elif record.status is not None and code != record.status:
+        _say(
+            f"the process of pytest ended with exit status {code} after pytest had given"
+            f" {record.status}"
+        )
+        code = code or record.status
     os._exit(code)
 
 

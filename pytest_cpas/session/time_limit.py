@@ -13,7 +13,7 @@ import pytest
 
 from pytest_cpas.evaluation import Watchdog, can_watch, parse_seconds
 from pytest_cpas.session.collected import ItemResult
-from pytest_cpas.session.guard import Guard
+from pytest_cpas.session.guard import WATCHING_GONE, Guard
 
 __all__ = ["TimeLimit", "sample_seconds", "time_limit"]
 
@@ -61,7 +61,7 @@ class TimeLimit:
         self._folder: Path | None = None
         if hasattr(config, "workerinput"):
             note = Path(config.workerinput[_FOLDER], f"{config.workerinput['workerid']}.json")
-            self.watchdog = Watchdog(note=note)
+            self.watchdog = Watchdog(note=note, gone=WATCHING_GONE)
             return
         guard = config.pluginmanager.get_plugin("cpas-guard")
         own = None
@@ -69,7 +69,7 @@ class TimeLimit:
             own = self._notes() / "run.json"
             guard.record.expect(own)
         # capturing has begun, but waits while plugins are configured: this is the terminal's
-        self.watchdog = Watchdog(note=own, stderr=2)
+        self.watchdog = Watchdog(note=own, stderr=2, gone=WATCHING_GONE)
 
     def _notes(self) -> Path:
         if self._folder is None:

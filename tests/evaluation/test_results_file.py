@@ -144,20 +144,58 @@ def test_second_writer_is_refused(tmp_path):
 @pytest.mark.parametrize("away", ["file", "folder", "other folder", "other file"])
 def test_file_that_goes_away_ends_the_run(tmp_path, away):
     folder = tmp_path / "out"
-    with ResultsFile(folder, a_run(), WHOLE) as file:
-        file.add(rows()[0])
-        if away == "file":
-            file.path.unlink()
-        elif away == "folder":
-            shutil.rmtree(folder)
-        elif away == "other folder":
-            folder.rename(tmp_path / "moved")
-            write(folder, rows())
-        else:
-            file.path.rename(tmp_path / "moved")
-            file.path.write_bytes(b"")
+
+    def run(another: bool) -> None:
+        with ResultsFile(folder, a_run(), WHOLE) as file:
+            file.add(rows()[0])
+            if away == "file":
+                file.path.unlink()
+            elif away == "folder":
+                shutil.rmtree(folder)
+            elif away == "other folder":
+                folder.rename(tmp_path / f"moved-{another}")
+                write(folder, rows())
+            else:
+                file.path.rename(tmp_path / f"moved-{another}")
+                file.path.write_bytes(b"")
+            if another:
+                file.add(rows()[1])
+
+    for another in (True, False):
+        shutil.rmtree(folder, ignore_errors=True)
         with pytest.raises(ResultsError, match="was removed or replaced while this run"):
-            file.add(rows()[1])
+            run(another)
+
+
+@pytest.mark.parametrize("then", ["another row", "the end"])
+def test_what_somebody_else_wrote_is_noticed(tmp_path, then):
+    """A method that writes to every descriptor it finds, or another program."""
+
+    def run() -> None:
+        with ResultsFile(tmp_path, a_run(), WHOLE) as file:
+            file.add(rows()[0])
+            with file.path.open("ab") as other:
+                other.write(b"garbage")
+            if then == "another row":
+                file.add(rows()[1])
+
+    with pytest.raises(ResultsError, match=r"and this run knows of \d+: a method, a plugin"):
+        run()
+
+
+@pytest.mark.parametrize("then", ["another row", "the end"])
+def test_descriptor_that_was_closed_is_noticed(tmp_path, then):
+    def run() -> None:
+        with ResultsFile(tmp_path, a_run(), WHOLE) as file:
+            file.add(rows()[0])
+            os.close(file._file.fileno())
+            if then == "another row":
+                file.add(rows()[1])
+
+    words = "cannot be written" if then == "another row" else "was removed or replaced"
+    with pytest.raises(ResultsError, match=words):
+        run()
+    assert len(read_results(tmp_path / "m-d.jsonl").rows) == 1
 
 
 # -- whose rows -----------------------------------------------------------------------------------

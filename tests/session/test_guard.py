@@ -86,6 +86,33 @@ def test_signal_is_the_end_of_the_command_as_well(ends, number, where):
     result.stderr.fnmatch_lines([f"ERROR: pytest was ended by {number.name}* after cpas::test_*"])
 
 
+@pytest.mark.parametrize("limit", [(), ("--cpas-timeout=60",)], ids=["", "limit"])
+def test_method_that_closes_what_it_has_not_opened(ends, limit):
+    """pytest's own output is lost with its descriptors; the parent says why."""
+    result = ends(*limit, predict="os.closerange(3, 256)")
+    assert result.ret not in (0, 5)
+    result.stderr.fnmatch_lines(
+        ["ERROR: descriptors that pytest prints to were closed after cpas::test_* had begun, so *"]
+    )
+
+
+def test_parent_that_was_stopped_goes_on(ends):
+    assert ends(predict="os.kill(os.getppid(), signal.SIGSTOP)").ret == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process of such a death")
+def test_process_that_watches_and_was_killed_is_told(ends):
+    kills = (
+        "[os.kill(int(p), 9) for p in os.listdir('/proc') if p.isdigit() and os.getpgid(int(p))"
+        " == os.getpgrp() and b'watching.py' in open(f'/proc/{p}/cmdline', 'rb').read()]"
+    )
+    result = ends("--cpas-timeout=60", predict=f"{kills}; time.sleep(60)")
+    assert result.ret != 0
+    result.stderr.fnmatch_lines(
+        ["ERROR: the process that watches the time of calls was ended, and pytest with it after *"]
+    )
+
+
 @pytest.mark.parametrize("status", [3, 9])
 def test_other_status_is_kept(ends, status):
     result = ends(predict=f"os._exit({status})")
@@ -108,7 +135,7 @@ def test_method_that_cannot_be_imported(ends, code):
 def test_end_after_a_bad_verdict(ends, code):
     result = ends(load=code, predict="raise RuntimeError")
     assert result.ret == 1
-    result.stderr.fnmatch_lines(["ERROR: * exit status 0 after pytest had given 1"])
+    result.stderr.fnmatch_lines(["ERROR: * exit status 0 after pytest had given 1*"])
 
 
 #: What a conftest.py can do to a run before its verdicts are told.

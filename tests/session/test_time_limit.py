@@ -1,5 +1,6 @@
 """A prediction that takes too long ends the run, says where it was, and the run can go on."""
 
+import contextlib
 import json
 import os
 import signal
@@ -10,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from pytest_cpas.evaluation import Watchdog, parse_seconds
-from pytest_cpas.evaluation.watching import foreign, where
+from pytest_cpas.evaluation.watchdog import ChannelError
+from pytest_cpas.evaluation.watching import Watch, foreign, where
 from pytest_cpas.session import metrics_session
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="there are signals on POSIX only")
@@ -163,58 +165,163 @@ def test_needs_a_method(pytester):
     result.stderr.fnmatch_lines(["ERROR: --cpas-timeout does nothing without --cpas-method; *"])
 
 
-def test_watching_process_that_was_killed_is_replaced(tmp_path):
+#: What foreign code can do to the line to the watching process during a call.
+CUTS = {
+    "kill": lambda watching: os.kill(watching.pid, signal.SIGKILL),
+    "close": lambda watching: [os.close(each.number) for each in _descriptors(watching)],
+    "close one": lambda watching: os.close(watching._line.number),
+    "other files": lambda watching: [
+        os.dup2(os.open(os.devnull, os.O_RDWR), each.number) for each in _descriptors(watching)
+    ],
+}
+
+
+def _descriptors(watching):
+    return watching._line, watching._alive, watching._dump
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("cut", CUTS)
+def test_line_that_was_cut_during_a_call_is_told_and_made_anew(cut):
     watchdog = Watchdog()
     with watchdog.watch("a call", 30):
-        first = watchdog._process
-        first.kill()
-        first.wait()
+        first = watchdog._watching
+
+    def cut_during_a_call() -> None:
+        with watchdog.watch("a call", 30):
+            CUTS[cut](first)
+            if cut == "kill":
+                _until_gone(first.pid)
+
+    with pytest.raises(ChannelError, match="a call: the process that watches its time was ended"):
+        cut_during_a_call()
+    for descriptor in _descriptors(first) if cut == "other files" else ():
+        os.close(descriptor.number)  # they are somebody else's, and still open
     with watchdog.watch("a call", 30):
-        assert watchdog._process.pid != first.pid
-    second = watchdog._process
+        second = watchdog._watching
+    assert second.pid != first.pid
     watchdog.close()
-    assert second.returncode == 0
+    for pid in (first.pid, second.pid):
+        _until_gone(pid)
+
+
+def test_line_that_was_cut_between_calls_is_made_anew():
+    watchdog = Watchdog()
+    with watchdog.watch("a call", 30):
+        first = watchdog._watching
+    CUTS["close"](first)
+    with watchdog.watch("a call", 30):
+        assert watchdog._watching.pid != first.pid
+    watchdog.close()
+
+
+def test_process_that_was_stopped_is_ended():
+    watchdog = Watchdog()
+    with watchdog.watch("a call", 30):
+        os.kill(watchdog._watching.pid, signal.SIGSTOP)
+    pid = watchdog._watching.pid
+    watchdog.close()
+    _until_gone(pid)
+
+
+def test_process_is_nobodys_child():
+    watchdog = Watchdog()
+    with watchdog.watch("a call", 30), pytest.raises(ChildProcessError):
+        os.waitpid(watchdog._watching.pid, os.WNOHANG)
+    watchdog.close()
+
+
+def test_what_others_write_is_no_call():
+    """A line of theirs does not end a call, and half a line does not swallow one of ours."""
+    heard, line = os.pipe()
+    watch = Watch(os.getpid(), 0, Path("dump"), "word", None)
+    watch._inputs = [heard]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pytest_cpas.evaluation.watching.INPUT", heard)
+        for written, seconds in (
+            (b'\nword{"seconds": 1}\n', 1),
+            (b"\n\ngarbage\n{}\nhalf", 1),
+            (b'\nword{"seconds": 2}\n', 2),
+            (b"\nwo", 2),
+            (b"rd\n", None),
+        ):
+            os.write(line, written)
+            watch.read(1)
+            assert (watch.call or {}).get("seconds") == seconds
+    os.close(heard)
+    os.close(line)
+
+
+def _until_gone(pid: int) -> None:
+    for _ in range(200):
+        stat = Path(f"/proc/{pid}/stat")
+        with contextlib.suppress(OSError):
+            if stat.read_text().rpartition(")")[2].split()[0] != "Z":
+                time.sleep(0.05)
+                continue
+        return
+    raise AssertionError("it runs")
 
 
 ENDED = """
-import signal, sys, time
+import os, signal, sys, time
 from pathlib import Path
 from pytest_cpas.evaluation import Watchdog
-watchdog = Watchdog(note=Path(sys.argv[1]), stderr=2)
+gone = getattr(signal, "SIGRTMAX", 2) - 2
+watchdog = Watchdog(note=Path(sys.argv[1]), stderr=2, gone=gone)
 watchdog.about = {"item": "an item"}
-signal.pthread_sigmask(signal.SIG_BLOCK, set(signal.valid_signals()))
+signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals() - {gone})
 with watchdog.watch("a call", float(sys.argv[2]), hint="wait"):
-    print("begun", flush=True)
+    exec(sys.argv[4])
+    print("begun", watchdog._watching.pid, flush=True)
     time.sleep(float(sys.argv[3]))
 """
 
 
-def test_process_that_blocks_signals_is_ended_all_the_same(pytester):
-    result = pytester.run(sys.executable, "-c", ENDED, "note.json", "0.2", "60")
+@pytest.mark.parametrize(
+    "code",
+    [
+        "",
+        "os.closerange(3, 256)",
+        "os.closerange(3, 256); files = [open(os.devnull) for _ in range(9)]",
+        "for number in range(3, 256):\n  try: os.write(number, b'x\\n\\nx')\n  except OSError: 0",
+        "os.unlink(watchdog._watching._path)",
+        "import shutil; shutil.rmtree(Path(sys.argv[1]).parent)",
+    ],
+    ids=["signals", "closed", "other files", "written to", "no dump", "no note"],
+)
+def test_process_is_ended_whatever_it_does_to_its_descriptors(pytester, code):
+    (pytester.path / "notes").mkdir()
+    note = pytester.path / "notes" / "note.json"
+    result = pytester.run(sys.executable, "-c", ENDED, note, "0.2", "60", code)
     assert result.ret == -signal.SIGKILL
-    note = json.loads((pytester.path / "note.json").read_text())
-    assert (note["item"], note["what"], note["hint"]) == ("an item", "a call", "wait")
-    result.stderr.fnmatch_lines(["ERROR: a call took longer than 0.2 s; it cannot be told where *"])
+    result.stderr.fnmatch_lines(["ERROR: a call took longer than 0.2 s; *"])
+    if "rmtree" not in code:
+        told = json.loads(note.read_text())
+        assert (told["item"], told["what"], told["hint"]) == ("an item", "a call", "wait")
+        assert told["said"]
+    if not code:
+        result.stderr.fnmatch_lines(["ERROR: * s; it cannot be told where *"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process of such a death")
+def test_process_whose_watching_process_is_killed_is_ended(pytester):
+    code = "os.kill(watchdog._watching.pid, signal.SIGKILL)"
+    result = pytester.run(sys.executable, "-c", ENDED, "note.json", "60", "60", code)
+    assert result.ret == -(signal.SIGRTMAX - 2)
 
 
 def test_time_in_which_a_run_is_stopped_does_not_count(pytester):
-    with pytester.popen([sys.executable, "-c", ENDED, "note.json", "3", "1.5"]) as process:
-        assert process.stdout.readline() == b"begun\n"
-        group = [process.pid, *_children(process.pid)]
-        assert len(group) == 2
+    with pytester.popen([sys.executable, "-c", ENDED, "note.json", "3", "1.5", ""]) as process:
+        begun, watching = process.stdout.readline().split()
+        assert begun == b"begun"
+        group = [process.pid, int(watching)]
         for number, seconds in ((signal.SIGSTOP, 4.0), (signal.SIGCONT, 0.0)):
             for pid in group:
                 os.kill(pid, number)
             time.sleep(seconds)
         assert process.wait(60) == 0
     assert not (pytester.path / "note.json").exists()
-
-
-def _children(pid: int) -> list[int]:
-    path = Path(f"/proc/{pid}/task/{pid}/children")
-    if not path.exists():
-        pytest.skip("no list of children")
-    return [int(word) for word in path.read_text().split()]
 
 
 def test_words_of_a_dump():
