@@ -103,7 +103,13 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
         made = make(data_dir)
     except (ContractError, OSError, ImportError, KeyboardInterrupt):
         raise
-    except BaseException as error:  # to exit or to skip is no way out of a verdict either
+    except BaseException as error:
+        if not isinstance(error, Exception):  # no way out of a verdict either
+            kind = type(error).__name__
+            raise RegistryError(
+                f"data set {name!r}: {kind}({error}) was raised while it was made; what cannot be"
+                " opened raises pytest_cpas.DataError that says why"
+            ) from error
         folder = "no folder was given with --cpas-data" if data_dir is None else f"in {data_dir}"
         raise RegistryError(
             f"data set {name!r} cannot be opened, {folder} ({type(error).__name__}: {error})"

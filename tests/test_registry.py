@@ -98,7 +98,12 @@ def test_data_set_that_cannot_be_opened_is_told_with_its_folder(distribution, ho
     words = "no folder was given with --cpas-data" if folder is None else "in somewhere"
     error = raised_by(registry.open_dataset, "lab_data:Data", folder)
     assert isinstance(error, registry.RegistryError)
-    assert str(error).startswith(f"data set 'lab_data:Data' cannot be opened, {words} (")
+    if isinstance(error.__cause__, Exception):
+        expected = f"data set 'lab_data:Data' cannot be opened, {words} ("
+    else:  # with the folder it has nothing to do
+        kind = type(error.__cause__).__name__
+        expected = f"data set 'lab_data:Data': {kind}({error.__cause__}) was raised while it"
+    assert str(error).startswith(expected)
 
 
 @pytest.mark.parametrize("error", ["FileNotFoundError", "ContractError", "ImportError"])

@@ -191,11 +191,11 @@ class ResultsFile:
 
     def _check(self) -> None:
         """See that the file is there, and has what was written alone."""
-        try:
+        there = None
+        with contextlib.suppress(OSError):
             there, held = self.path.stat(), os.fstat(cast(io.FileIO, self._file).fileno())
-        except OSError:
-            there = held = None
-        if there is None or held is None or not os.path.samestat(there, held):
+            there = there if os.path.samestat(there, held) else None
+        if there is None:
             raise ResultsError(
                 f"{self.path} was removed or replaced while this run was writing it, so its rows"
                 " are lost. Run the same command again"

@@ -55,6 +55,7 @@ class CollectedRun:
         self.run = run
         self._file = file
         self._rows: dict[str, Row] = {} if file is None else dict(file.rows)
+        self._kept = set(self._rows)
         self._errors: dict[str, str] = {}
         self._contract: dict[str, ContractResult] = {}
         self._speed: SpeedDocument | None = None
@@ -129,11 +130,17 @@ class CollectedRun:
         if self._file is None:
             return
         for row in result.rows:
-            self._file.add(row)
+            self.keep(row)
         for sample, message in result.errors:
             self._file.add_error(sample, message)
         if result.contract:
             self._file.add_contract(result.contract.plain())
+
+    def keep(self, row: Row) -> None:
+        """Have a row on disk, if asked for: at once, whatever becomes of its item."""
+        if self._file is not None and row.sample not in self._kept:
+            self._file.add(row)
+            self._kept.add(row.sample)
 
     def add_speed(self, document: SpeedDocument) -> None:
         """Take in what was measured of the method's speed."""

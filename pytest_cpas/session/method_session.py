@@ -10,8 +10,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import sys
-from collections.abc import Generator
-from contextlib import ExitStack
+from collections.abc import Generator, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from pytest_cpas.evaluation import (
     Limit,
     MethodRun,
     ResultsError,
+    Row,
     Run,
     found_programs,
     leave_out,
@@ -134,7 +135,7 @@ class CpasSession(SuiteSession):
             kept = "Other samples go on in other processes"
         elif self.options.results is not None:
             kept = (
-                f"The rows of items that ended are kept in {self.options.results}: the same command"
+                f"The rows that came before are kept in {self.options.results}: the same command"
                 " goes on from there"
             )
         else:
@@ -222,13 +223,27 @@ class CpasSession(SuiteSession):
         return self.runs.index(run), item.stash[ITEM_RESULT].plain()
 
     def collect(self, content: Any) -> None:
-        """Collect what an item found; a disk that does not take it ends the run."""
+        """Collect what an item found."""
         index, values = content
         collected, result = self.collected[self.runs[index]], ItemResult.of(values)
         if self._progress:
             self._progress.add(collected.run, result.rows, len(result.errors))
-        try:
+        with self._ending_the_run():
             collected.add(result)
+
+    def keep(self, run: Run, row: Row) -> None:
+        """Keep a row whose item has not ended, and may never end."""
+        if self.is_controller:
+            with self._ending_the_run():
+                self.collected[run].keep(row)
+        elif self.options.timeout is not None:
+            time_limit(self.config).keep(self.runs.index(run), row)
+
+    @contextmanager
+    def _ending_the_run(self) -> Iterator[None]:
+        """A disk that does not take a row ends the run."""
+        try:
+            yield
         except ResultsError as error:
             end_run(error)
 

@@ -11,9 +11,10 @@ from typing import Any
 
 import pytest
 
-from pytest_cpas.evaluation import Watchdog, can_watch, parse_seconds
+from pytest_cpas.evaluation import Row, Watchdog, can_watch, parse_seconds
 from pytest_cpas.session.collected import ItemResult
-from pytest_cpas.session.guard import WATCHING_GONE, Guard
+from pytest_cpas.session.guard import Guard
+from pytest_cpas.session.holding import WATCHING_GONE
 
 __all__ = ["TimeLimit", "sample_seconds", "time_limit"]
 
@@ -59,8 +60,10 @@ class TimeLimit:
 
     def __init__(self, config: pytest.Config) -> None:
         self._folder: Path | None = None
+        self._part: Path | None = None
         if hasattr(config, "workerinput"):
             note = Path(config.workerinput[_FOLDER], f"{config.workerinput['workerid']}.json")
+            self._part = note.with_suffix(".rows")
             self.watchdog = Watchdog(note=note, gone=WATCHING_GONE)
             return
         guard = config.pluginmanager.get_plugin("cpas-guard")
@@ -85,6 +88,15 @@ class TimeLimit:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """An item begins."""
         self.watchdog.about = {"item": item.nodeid}
+        if self._part is not None:
+            self._part.unlink(missing_ok=True)
+
+    def keep(self, run: int, row: Row) -> None:
+        """Keep a row of an item of a worker, which loses it if it is ended before the item does;
+        ``run``: which run it is of."""
+        if self._part is not None:
+            with self._part.open("a", encoding="utf-8") as file:
+                file.write(json.dumps([run, row.plain()]) + "\n")
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_handlecrashitem(self, crashitem: str, report: pytest.TestReport) -> None:
@@ -97,6 +109,7 @@ class TimeLimit:
                 if "sample" in note:
                     problem = note["text"].partition("\n")[0]
                     found = ItemResult(errors=[(note["sample"], problem)])
+                    found.rows += _rows_of(path.with_suffix(".rows"), note["run"])
                     node = crashitem.partition("::")[0]
                     report.cpas_content = (  # type: ignore[attr-defined]
                         node,
@@ -109,3 +122,13 @@ class TimeLimit:
         if self._folder is not None:
             with contextlib.suppress(OSError):
                 shutil.rmtree(self._folder)
+
+
+def _rows_of(path: Path, run: int) -> list[Row]:
+    """The rows that a worker has kept of the item at which it was ended; whole lines alone."""
+    try:
+        *lines, _ = path.read_text(encoding="utf-8").split("\n")
+    except OSError:
+        return []
+    kept = [json.loads(line) for line in lines]
+    return [Row.of(values) for index, values in kept if index == run]

@@ -91,7 +91,9 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
         skip(request.node, f"the adapter is wrong: {obstacle}")
     for ref in refs:
         try:
-            result.rows.append(run.judge(ref))
+            row = run.judge(ref)
+            result.rows.append(row)
+            session.keep(run, row)
         except SampleError as error:
             errors.append(error)
             result.errors.append((ref.id, str(error)))

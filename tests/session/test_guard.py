@@ -178,6 +178,28 @@ def test_conftest_that_ends_a_run(ends, what):
     assert result.stdout.str() + result.stderr.str()
 
 
+#: The same, once verdicts are told, and which.
+LATE = {
+    "summary": (
+        "def pytest_terminal_summary(): os._exit(0)",
+        "its verdicts were told, but it had*",
+    ),
+    "finish": ("def pytest_sessionfinish(): os._exit(0)", "its verdicts were told, but it had*"),
+    "first verdict": (
+        "def pytest_runtest_logfinish(nodeid):\n  if 'golden[' in nodeid: os._exit(0)",
+        "not all verdicts were told.*",
+    ),
+}
+
+
+@pytest.mark.parametrize("when", LATE)
+def test_what_was_told_before_the_end_is_not_denied(ends, when):
+    conftest, words = LATE[when]
+    result = ends(conftest=conftest)
+    assert result.ret == 1
+    result.stderr.fnmatch_lines([f"ERROR: the process of pytest ended with * begun; {words}"])
+
+
 #: What only a plugin can do: a conftest.py does not see the items of the suite that ships.
 ITEMS = {
     "teardown: _exit": "def pytest_runtest_teardown(): os._exit(0)",

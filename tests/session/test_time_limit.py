@@ -85,7 +85,7 @@ def test_run_is_ended_and_goes_on(slow, pytester, how):
         [
             "ERROR: perfect on tiny, sample scene_1/0005 (mug): predict took longer than 1 s; the"
             f" method was in *slow.py:* ({how})*",
-            "The rows of items that ended are kept in *out: the same command goes on from there.*",
+            "The rows that came before are kept in *out: the same command goes on from there.*",
             "Stacks of all threads:",
             "*Current thread*",
             f'*slow.py", line {LINE[how]} in {how}' if how != "computes" else f"*in {how}",
@@ -118,6 +118,16 @@ def test_worker_is_ended_and_the_others_go_on(slow, pytester):
     )
     assert len(kept(pytester.path / "out")) == 11
     assert slow("-n2", "--cpas-results=out").ret == 0
+
+
+@pytest.mark.parametrize("workers", [(), ("-n2",)], ids=["", "-n2"])
+def test_rows_of_the_item_that_is_ended_are_kept(slow, pytester, workers):
+    """Five samples of the one item come before the one that hangs."""
+    options = ("--cpas-results=out", "--cpas-granularity=dataset", "-k", "test_sample", *workers)
+    assert slow(*options, how="sleeps").ret == 1
+    assert kept(pytester.path / "out") == [f"scene_{i // 4}/{i:04d}" for i in range(5)]
+    again = slow(*options)
+    again.stdout.fnmatch_lines(["rows: computed 7, reused 5 from*"])
 
 
 def test_without_results_it_is_said_what_keeps_rows(slow):
