@@ -67,6 +67,7 @@ class Scan:
         self._details: list[Any] = []
         self._lacking: dict[str, list[str]] = defaultdict(list)
         self._shapeless: Counter[str] = Counter()
+        self._ids: set[str] = set()
         self._names: dict[str, set[str]] = {}
         self._digest = hashlib.sha256()
 
@@ -102,7 +103,7 @@ class Scan:
     def weigh(self, path: str) -> None:
         """Add a file's path and size, which are had without reading it, to the digest."""
         stamp = self._see(path)
-        self._digest.update(os.fsencode(f"{path} {stamp and stamp[-1]}\n"))
+        self.note(f"{path} {stamp and stamp[-1]}\n")
 
     def image_size(self, path: str) -> tuple[int, int]:
         """Width and height of an image, which is not decoded."""
@@ -111,10 +112,16 @@ class Scan:
 
     def note(self, text: str) -> None:
         """Add ``text`` to the digest."""
-        self._digest.update(os.fsencode(text))
+        # names of files that are no text, and texts that name no file
+        self._digest.update(text.encode("utf-8", "surrogatepass"))
 
     def add(self, ref: SampleRef, detail: Any) -> None:
-        """A sample, and what its loader needs, as JSON values."""
+        """A sample, and what its loader needs, as JSON values; an id that is there twice is
+        damage, and the first one stays."""
+        if ref.id in self._ids:
+            self.damaged.append(f"{self.root}: sample {ref.id!r} is listed twice")
+            return
+        self._ids.add(ref.id)
         self._samples.append(ref)
         self._details.append(detail)
 
@@ -183,7 +190,7 @@ def read_index(
 def _stamp(root: Path, path: str) -> list[int] | None:
     try:
         status = os.stat(root / path)
-    except OSError:
+    except (OSError, ValueError):  # of what is no name of a file
         return None
     return [status.st_mtime_ns, status.st_ctime_ns, status.st_size]
 

@@ -78,13 +78,14 @@ class RecordTree(Tree):
         width, height, *intrinsics = record.camera
         camera = Camera(int(width), int(height), *intrinsics)
         depth = self._read_depth(self.root / record.depth, camera, record.depth_per_metre)
-        observation = Observation(
-            category=ref.category,
-            rgb=self._read_rgb(self.root / record.rgb, camera),
-            depth=depth,
-            mask=self._mask(record, truth, depth, camera),
-            camera=camera,
-        )
+        rgb = self._read_rgb(self.root / record.rgb, camera)
+        mask = self._mask(record, truth, depth, camera)
+        try:
+            observation = Observation(
+                category=ref.category, rgb=rgb, depth=depth, mask=mask, camera=camera
+            )
+        except ContractError as error:
+            raise DataError(f"{self.root / record.depth}: {error}") from None
         return Sample(ref, observation, truth)
 
     @raised_as(DataError)

@@ -22,7 +22,7 @@ centre of the model's box: BOP's is close to it, but not always in it. The symme
 from __future__ import annotations
 
 import re
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +31,7 @@ import numpy as np
 
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
+from pytest_cpas.datasets._values import intrinsics, list_of, rotation_of, steps_per_metre
 from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers, whole
@@ -46,6 +47,7 @@ from pytest_cpas.types import (
     SampleRef,
     Symmetry,
 )
+from pytest_cpas.types._arrays import checked_integer, checked_number
 
 #: Objects of which a smaller part is visible are not judged (BOP Challenge 2019).
 _LEAST_VISIBLE = 0.1
@@ -104,8 +106,10 @@ class Bop(RecordTree):
             return None
         try:
             listed = parse_json(self.root / file, scan.read(file), list)
-            return {(t["scene_id"], t["im_id"], t["obj_id"]) for t in listed}
-        except (TypeError, KeyError) as error:
+            keys = ("scene_id", "im_id", "obj_id")
+            found = {tuple(_number(target[key], key) for key in keys) for target in listed}
+            return {(scene, image, number) for scene, image, number in found}
+        except (TypeError, KeyError, ContractError) as error:
             raise DataError(
                 f"{self.root / file}: expected a list of scene_id, im_id and obj_id ({error!r})"
             ) from error
@@ -132,19 +136,21 @@ class Bop(RecordTree):
                     continue
                 size = size or scan.image_size(found[0])
                 frame = _frame(*found, cameras[key], size)
-                for index, truth in enumerate(_list(truths[key])):
+                objects = list_of(truths[key], "scene_gt.json")
+                visible = _visible(infos, key, len(objects))
+                for index, truth in enumerate(objects):
                     with _damage(scan, f"{where}, object {index}"):
                         number = self._object(truth)
                         wanted = targets is None or (int(scene), int(key), number) in targets
-                        if wanted and _visible(infos.get(key), index) >= _LEAST_VISIBLE:
+                        if wanted and visible(index) >= _LEAST_VISIBLE:
                             ref_id = f"{scene}/{int(key):06d}/{index}"
                             self._add(scan, frame, ref_id, number, truth)
 
     def _object(self, truth: Any) -> int:
-        number = truth.get("obj_id") if isinstance(truth, dict) else None
+        number = _number(truth.get("obj_id") if isinstance(truth, dict) else None, "obj_id")
         if number not in self._models:
-            raise DataError(f"obj_id {number!r} is not in {self._models_info}")
-        return int(number)
+            raise DataError(f"obj_id {number} is not in {self._models_info}")
+        return number
 
     def _image(self, scan: Scan, folder: str, key: str, camera: Any) -> tuple[str, str] | None:
         number = whole(key)
@@ -215,6 +221,8 @@ def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:
             number = whole(key)
             if number is None or not isinstance(info, dict):
                 raise DataError("expected a number, and min_x, size_x, ...")
+            if number in models:
+                raise DataError(f"number {number} is there twice")
             models[number] = _model(info)
         except ContractError as error:
             damaged.append(f"{path}: object {key}: {error}")
@@ -227,12 +235,12 @@ def _model(info: dict[str, Any]) -> Model:
     size = numbers([info.get(f"size_{axis}") for axis in "xyz"], (3,), "size_x, size_y, size_z")
     if (size <= 0).any():
         raise DataError(f"size is {size.tolist()}, expected positive millimetres")
-    discrete = _list(info.get("symmetries_discrete") or [])
+    discrete = _given(info, "symmetries_discrete")
     rotations = [np.eye(3)]
-    rotations += [numbers(s, (4, 4), "symmetries_discrete")[:3, :3] for s in discrete]
+    rotations += [rotation_of(s, "symmetries_discrete") for s in discrete]
     axes = [
         numbers(s.get("axis") if isinstance(s, dict) else s, (3,), "symmetries_continuous")
-        for s in _list(info.get("symmetries_continuous") or [])
+        for s in _given(info, "symmetries_continuous")
     ]
     symmetry = (
         Symmetry.full()  # two axes generate all rotations
@@ -252,28 +260,38 @@ def _damage(scan: Scan, where: str) -> Generator[None]:
 
 def _frame(rgb: str, depth: str, entry: dict[str, Any], size: tuple[int, int]) -> Record:
     """What the objects of an image share."""
-    matrix = numbers(entry.get("cam_K"), (3, 3), "cam_K").tolist()
-    camera = [matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2]]
+    camera = intrinsics(entry.get("cam_K"), "cam_K")
     Camera(*size, *camera)
-    scale = float(numbers(entry.get("depth_scale", 1), (1,), "depth_scale")[0])
-    if scale <= 0:
-        raise DataError(f"depth_scale {scale:g}, expected millimetres of one step")
-    return Record(rgb, depth, [*size, *camera], [], [], depth_per_metre=1000 / scale)
+    steps = steps_per_metre(entry.get("depth_scale", 1), "depth_scale, millimetres of a step", 1000)
+    return Record(rgb, depth, [*size, *camera], [], [], depth_per_metre=steps)
 
 
-def _list(value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise DataError(f"a {type(value).__name__}, expected a list")
-    return value
+def _given(info: dict[str, Any], key: str) -> list[Any]:
+    """A list that need not be there."""
+    return list_of(info.get(key, []), key)
 
 
-def _visible(infos: Any, index: int) -> float:
-    """Which part of an object is visible; all of it where nothing is said."""
-    try:
-        value = infos[index]["visib_fract"]
-    except (TypeError, KeyError, IndexError):
-        return 1.0
-    return float(numbers(value, (), "visib_fract"))
+def _number(value: Any, key: str) -> int:
+    """The number of a scene, an image or an object."""
+    return checked_integer(value, key, 0, 10**9)
+
+
+def _visible(infos: dict[str, Any], image: str, count: int) -> Callable[[int], float]:
+    """Which part of each of an image's objects is visible; all of it where nothing is said."""
+    if image not in infos:
+        return lambda index: 1.0
+    entries = list_of(infos[image], "scene_gt_info.json")
+    if len(entries) != count:
+        raise DataError(
+            f"scene_gt_info.json has {len(entries)} entries, and {count} objects are seen"
+        )
+
+    def visible(index: int) -> float:
+        if not isinstance(entries[index], dict):
+            raise DataError("scene_gt_info.json: no entry of the object, but something else")
+        return checked_number(entries[index].get("visib_fract"), "visib_fract", 0, 1)
+
+    return visible
 
 
 def find_models(root: Path) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
+from pytest_cpas.datasets._values import steps_per_metre
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.files import decoded
 from pytest_cpas.reading.meshes import read_mesh
@@ -113,8 +114,7 @@ class Folder(RecordTree):
             raise DataError(f"{where}: the image size is {camera[0]:g} x {camera[1]:g}")
         Camera(int(camera[0]), int(camera[1]), *camera[2:])
         unit = values(("depth_unit",))[0] if text.get("depth_unit") else 0.001
-        if unit <= 0:
-            raise DataError(f"{where}: depth_unit {unit:g}, expected the metres of one step")
+        steps_per_metre(unit, f"{where}: depth_unit, metres of one step", 1.0)
         extents = values(_EXTENTS) if any(text.get(column) for column in _EXTENTS) else None
         mesh, mask = text.get("mesh") or None, text.get("mask") or None
         if extents is None and mesh is None:

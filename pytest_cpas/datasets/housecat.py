@@ -28,6 +28,7 @@ from pathlib import Path
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
+from pytest_cpas.datasets._values import integers, intrinsics
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
@@ -73,8 +74,7 @@ class HouseCat6D(RecordTree):
     def _scan_scene(self, scan: Scan, scene: str) -> list[tuple[SampleRef, Record]]:
         where = str(self.root / scene / "intrinsics.txt")
         text = scan.read(f"{scene}/intrinsics.txt").decode("utf-8", "replace")
-        matrix = numbers(text.split(), (3, 3), where).tolist()
-        intrinsics = [matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2]]
+        camera = intrinsics(text.split(), where)
         names = self._names(scan, scene)
         size: tuple[int, int] | None = None
         listed = []
@@ -92,7 +92,7 @@ class HouseCat6D(RecordTree):
                 continue
             try:
                 size = size or scan.image_size(f"{scene}/rgb/{file}")
-                shared = Record(f"{scene}/rgb/{file}", paths["depth"], [*size, *intrinsics], [], [])
+                shared = Record(f"{scene}/rgb/{file}", paths["depth"], [*size, *camera], [], [])
                 shared = shared._replace(mask=paths["instance"])
                 listed += self._scan_label(scan, paths["label"], f"{scene}/{image}", shared, names)
             except ContractError as error:
@@ -103,7 +103,7 @@ class HouseCat6D(RecordTree):
         """The model of each instance of a scene."""
         names = {}
         text = scan.read(f"{scene}/meta.txt").decode("utf-8", "replace")
-        for line in text.splitlines():
+        for line in filter(str.strip, text.split("\n")):
             words = line.split()
             instance = whole(words[0]) if len(words) == 3 and "/" not in words[2] else None
             if instance is None or words[2].split("-")[0] not in CATEGORIES:
@@ -111,6 +111,8 @@ class HouseCat6D(RecordTree):
                     f"{self.root / scene / 'meta.txt'}: line {line!r}, expected"
                     " 'instance_id class_id CATEGORY-NAME'"
                 )
+            if instance in names:
+                raise DataError(f"{self.root / scene / 'meta.txt'}: instance {instance} is twice")
             names[instance] = words[2]
         return names
 
@@ -124,21 +126,25 @@ class HouseCat6D(RecordTree):
         absent = [key for key in keys if key not in label]
         if absent:
             raise DataError(f"{path}: it lacks {', '.join(absent)}")
-        instances = numbers(label["instance_ids"], (len(label["class_ids"]),), f"{path}: ids")
+        instances = integers(label["instance_ids"], None, f"{path}: instance_ids")
         count = len(instances)
-        classes = numbers(label["class_ids"], (count,), f"{path}: class_ids")
+        classes = integers(label["class_ids"], count, f"{path}: class_ids")
         rotations = numbers(label["rotations"], (count, 3, 3), f"{path}: rotations")
         translations = numbers(label["translations"], (count, 3), f"{path}: translations")
         scales = numbers(label["gt_scales"], (count, 3), f"{path}: gt_scales")
         listed = []
         for i in range(count):
-            instance, class_id = int(instances[i]), int(classes[i])
+            instance, class_id = instances[i], classes[i]
             if not 1 <= class_id <= len(CATEGORIES) or instance not in names:
                 raise DataError(
                     f"{path}: instance {instance} of class {class_id}, expected one of meta.txt"
                     f" and a class of 1 to {len(CATEGORIES)}"
                 )
             category, model = CATEGORIES[class_id - 1], names[instance]
+            if model.split("-")[0] != category:
+                raise DataError(
+                    f"{path}: instance {instance} is a {category}, and in meta.txt a {model}"
+                )
             mesh = f"{_MODELS}/{category}/{model}.obj"
             record = shared._replace(
                 rotation=rotations[i].ravel().tolist(),

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._tree import Tree, find_root
+from pytest_cpas.datasets._values import check_last_rows
 from pytest_cpas.reading.files import read_text
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers
@@ -66,12 +67,13 @@ def symmetry_of(category: str) -> Symmetry:
 
 
 class Listed(NamedTuple):
-    """A line of a frame's meta file, and which of the frame's poses is its."""
+    """A line of a frame's meta file, which of the frame's poses is its, and how many there are."""
 
     mask_id: int
     category: str
     model: str
     pose_index: int
+    poses: int
 
 
 class NocsTree(Tree):
@@ -143,9 +145,9 @@ class NocsTree(Tree):
     def _read_meta(self, frame: str, text: str) -> list[Listed]:
         # a model's name becomes part of a path
         model = r" ((?!\.)[^\s/\\]+)" * (len(self.meta.split()) - 2)
-        form = re.compile(r"(\d{1,9}) (\d{1,9})" + model)
+        form = re.compile(r"([0-9]{1,9}) ([0-9]{1,9})" + model)
         entries = []
-        for line in text.splitlines():
+        for line in filter(str.strip, text.split("\n")):
             match = form.fullmatch(" ".join(line.split()))
             if not match or int(match[2]) > len(CATEGORIES) or int(match[1]) > 254:
                 raise DataError(
@@ -157,7 +159,8 @@ class NocsTree(Tree):
                 entries.append((int(match[1]), CATEGORIES[int(match[2]) - 1], model))
         if len({mask_id for mask_id, _, _ in entries}) < len(entries):
             raise DataError(f"{frame}_meta.txt: a mask id occurs twice")
-        return [Listed(*entry, index) for index, entry in enumerate(sorted(entries))]
+        count = len(entries)
+        return [Listed(*entry, index, count) for index, entry in enumerate(sorted(entries))]
 
     def _seen(
         self, scan: Scan, listed: list[tuple[str, list[Listed]]]
@@ -209,8 +212,11 @@ class NocsTree(Tree):
         frame = ref.id.rsplit("/", 1)[0]
         path = self.root / _truth_path(frame)
         matrices = self._poses(path)
-        if item.pose_index >= len(matrices):
-            raise DataError(f"{path}: {len(matrices)} poses, but the meta file lists more objects")
+        if item.poses != len(matrices):
+            raise DataError(
+                f"{path}: {len(matrices)} poses, but the meta file lists {item.poses} objects;"
+                " which is whose cannot be told"
+            )
         scaled = matrices[item.pose_index]
         determinant = float(np.linalg.det(scaled[:3, :3]))
         if not determinant > 0:
@@ -219,11 +225,16 @@ class NocsTree(Tree):
                 " cube of a positive scale"
             )
         rotation = scaled[:3, :3] / np.cbrt(determinant)
-        pose = Pose(rotation @ NOCS_FROM_SHAPENET, scaled[:3, 3])
         mesh, extents = self._mesh(item.model)
-        return GroundTruth(
-            pose=pose, extents=extents, symmetry=symmetry_of(ref.category), surface=mesh
-        )
+        try:
+            pose = Pose(rotation @ NOCS_FROM_SHAPENET, scaled[:3, 3])
+            return GroundTruth(
+                pose=pose, extents=extents, symmetry=symmetry_of(ref.category), surface=mesh
+            )
+        except ContractError as error:
+            raise DataError(
+                f"{path}, pose {item.pose_index}, and model {item.model}: {error}"
+            ) from None
 
     def _ids(self, frame: str) -> NDArray[np.uint8]:
         return self._read_ids(self.root / f"{self.frames}/{frame}_mask.png", self.camera)
@@ -240,6 +251,7 @@ class NocsTree(Tree):
             or not np.isfinite(poses).all()
         ):
             raise DataError(f"{path}: gt_RTs is not an array (n, 4, 4) of finite numbers")
+        check_last_rows(poses, f"{path}: gt_RTs")
         return poses.astype(np.float64)
 
     def _read_mesh(self, model: str) -> tuple[Mesh | None, Array]:

@@ -32,6 +32,7 @@ from typing import Any
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
+from pytest_cpas.datasets._values import integers, list_of, steps_per_metre, text_of
 from pytest_cpas.reading.arrays import Wanted, read_npz
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
@@ -75,13 +76,19 @@ class PhoCaL(RecordTree):
         where = f"{self.root / sequence / 'scene_camera.json'}: rgb {', '.join(keys)}"
         colour = sensors.get("rgb")
         values = [colour.get(key) for key in keys] if isinstance(colour, dict) else colour
-        *intrinsics, per_metre = numbers(values, (5,), where).tolist()
+        *intrinsics, steps = numbers(values, (5,), where).tolist()
+        per_metre = steps_per_metre(steps, where)
         tests = self._test_images(scan, f"{sequence}/train_test_split.npz")
         truths = scan.read_json(f"{sequence}/rgb_scene_gt.json")
         size: tuple[int, int] | None = None
         listed = []
         for key in sorted(truths, key=natural):
             number = whole(key)
+            if number is None:
+                scan.damaged.append(
+                    f"{self.root / sequence / 'rgb_scene_gt.json'}: image {key[:80]!r}, expected a"
+                    " number"
+                )
             if number is None or number not in tests:
                 continue
             image = f"{number:06d}"
@@ -98,17 +105,16 @@ class PhoCaL(RecordTree):
                 shared = shared._replace(depth_per_metre=per_metre)
                 listed += [
                     self._object(scan, f"{sequence}/{image}/{index}", truth, shared, taxonomy)
-                    for index, truth in enumerate(truths[key], start=1)
+                    for index, truth in enumerate(list_of(truths[key], f"image {key}"), start=1)
                 ]
-            except (ContractError, TypeError) as error:
+            except ContractError as error:
                 scan.damaged.append(f"{self.root / sequence / 'rgb_scene_gt.json'}: {error}")
         return listed
 
     def _test_images(self, scan: Scan, file: str) -> set[int]:
         path, content = self.root / file, io.BytesIO(scan.read(file))
         indices = read_npz(path, {"test_idxs": Wanted("iuf")}, content)["test_idxs"]
-        listed = numbers(indices, indices.shape, f"{path}: test_idxs").ravel()
-        return {int(index) for index in listed}
+        return set(integers(indices, None, f"{path}: test_idxs"))
 
     def _object(
         self,
@@ -120,7 +126,8 @@ class PhoCaL(RecordTree):
     ) -> tuple[SampleRef, Record]:
         try:
             entry, instance = taxonomy[str(truth["class_id"])], str(truth["inst_id"])
-            category, model = str(entry["class_name"]), str(entry["objs"][instance])
+            category = text_of(entry["class_name"], f"{_TAXONOMY}: class_name")
+            model = text_of(entry["objs"][instance], f"{_TAXONOMY}: objs of {category}")
             rotation = numbers(truth["cam_R_m2c"], (3, 3), f"{ref_id}: cam_R_m2c")
             translation = numbers(truth["cam_t_m2c"], (3,), f"{ref_id}: cam_t_m2c")
             scales = numbers(entry["scales"][instance], (3,), f"{_TAXONOMY}: scales of {model}")

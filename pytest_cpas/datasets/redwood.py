@@ -71,13 +71,13 @@ class Redwood75(RecordTree):
             if scan.has(annotation["mesh"]):
                 scan.hash(annotation["mesh"])
             for index, pose in enumerate(poses):
-                ref = SampleRef(
-                    id=f"{sequence}/{index}",
-                    category=annotation["category"],
-                    scene=sequence,
-                    model=sequence,
-                )
                 try:
+                    ref = SampleRef(
+                        id=f"{sequence}/{index}",
+                        category=annotation["category"],
+                        scene=sequence,
+                        model=sequence,
+                    )
                     record = self._record(ref, annotation, pose, f"{where}, pose {index}")
                 except ContractError as error:
                     scan.damaged.append(str(error))

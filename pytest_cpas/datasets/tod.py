@@ -33,6 +33,7 @@ import numpy as np
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
+from pytest_cpas.datasets._values import integers
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.files import read_text
 from pytest_cpas.reading.numbers import numbers, whole
@@ -44,6 +45,9 @@ from pytest_cpas.types.frames import SHAPENET_FROM_Z_UP
 CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
 
 _SYMMETRIES = {"ball": Symmetry.full(), "cup": symmetry_of("bottle")}
+
+#: Bytes of a ``.pbtxt``; one has a few thousand.
+_LARGEST_TARGET = 2**20
 
 _CAMERA = ("resx", "resy", "fx", "fy", "cx", "cy")
 
@@ -98,7 +102,13 @@ class Tod(RecordTree):
             if lacks:
                 continue
             try:
-                text = scan.read(target).decode("utf-8", "replace")
+                content = scan.read(target)
+                if len(content) > _LARGEST_TARGET:
+                    raise DataError(
+                        f"{self.root / target}: {len(content)} bytes, at most {_LARGEST_TARGET}"
+                        " are read"
+                    )
+                text = content.decode("utf-8", "replace")
                 camera, keypoints = read_target(text, str(self.root / target))
                 if len(keypoints) != len(model.keypoints):
                     raise DataError(
@@ -155,7 +165,7 @@ def read_target(text: str, where: str) -> tuple[list[float], Array]:
     """Camera (width, height, fx, fy, cx, cy) and keypoints (k, 3), metres, of a ``.pbtxt``."""
     # blocks do not nest below these two
     blocks = re.findall(r"\b(camera|keypoints)\s*+\{([^{}]*+)\}", text.partition("proj_targets")[0])
-    fields = [(kind, dict(re.findall(r"\b(\w++)\s*+:\s*+(\S++)", body))) for kind, body in blocks]
+    fields = [(kind, _fields(body, where)) for kind, body in blocks]
     cameras = [values for kind, values in fields if kind == "camera"]
     points = [values for kind, values in fields if kind == "keypoints"]
     if len(cameras) != 1 or not points:
@@ -165,5 +175,16 @@ def read_target(text: str, where: str) -> tuple[list[float], Array]:
     u, v, z = numbers(uvz, (len(uvz), 3), f"{where}: keypoints").T
     if (z <= 0).any() or min(camera[:4]) <= 0:
         raise DataError(f"{where}: a keypoint behind the camera, or no camera")
+    integers(camera[:2], 2, f"{where}: resx, resy")
     _, _, fx, fy, cx, cy = camera
     return camera, np.stack([(u - cx) * z / fx, (v - cy) * z / fy, z], axis=-1)
+
+
+def _fields(body: str, where: str) -> dict[str, str]:
+    """What is given as ``name: value`` in a block."""
+    words = body.replace(":", " : ").split()
+    named = [at - 1 for at, word in enumerate(words) if word == ":" and 0 < at < len(words) - 1]
+    fields = {words[at]: words[at + 2] for at in named}
+    if len(fields) < len(named):
+        raise DataError(f"{where}: a block gives a value twice")
+    return fields

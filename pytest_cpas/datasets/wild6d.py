@@ -24,6 +24,7 @@ from typing import Any
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
+from pytest_cpas.datasets._values import intrinsics
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
@@ -80,13 +81,13 @@ class Wild6D(RecordTree):
             return
         where = f"{self.root / folder / 'metadata'}: K"
         # column by column
-        matrix = numbers(scan.read_json(f"{folder}/metadata").get("K"), (3, 3), where).T.tolist()
-        intrinsics = [matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2]]
+        matrix = numbers(scan.read_json(f"{folder}/metadata").get("K"), (3, 3), where).T
+        camera = intrinsics(matrix, where)
         size: tuple[int, int] | None = None
         for index, annotation in enumerate(annotations):
             at = f"{self.root / path}: annotation {index}"
             try:
-                image = self._image(annotation)
+                image = self._image(annotation, sequence)
                 if tests is not None and f"{sequence}/{image}" not in tests:
                     continue
                 stem = f"{folder}/images/{image}"
@@ -96,7 +97,7 @@ class Wild6D(RecordTree):
                     scan.lacks("annotated images without colour, depth or mask", lacks[0])
                     continue
                 size = size or scan.image_size(files[0])
-                record = self._record(annotation, files, [*size, *intrinsics])
+                record = self._record(annotation, files, [*size, *camera])
                 ref_id = f"{category}/{sequence}/{image}"
                 model = f"{category}/{words[1]}"
                 scene = f"{category}/{sequence}"
@@ -105,11 +106,15 @@ class Wild6D(RecordTree):
             except ContractError as error:
                 scan.damaged.append(f"{at}: {error}")
 
-    def _image(self, annotation: Any) -> int:
+    def _image(self, annotation: Any, sequence: str) -> int:
         name = annotation.get("name") if isinstance(annotation, dict) else None
-        number = whole(str(name).rsplit("/", 1)[-1])
-        if number is None:
-            raise DataError(f"name {name!r}, expected CATEGORY/OBJECT/SEQUENCE/N")
+        # the category may be called otherwise, such as cup for a mug
+        words = name.split("/") if isinstance(name, str) else []
+        number = whole(words[-1]) if len(words) == 4 else None
+        if number is None or "/".join(words[1:3]) != sequence:
+            raise DataError(
+                f"name {name!r:.100}, expected CATEGORY/OBJECT/SEQUENCE/N of {sequence}"
+            )
         return number
 
     def _record(

@@ -37,8 +37,8 @@ def _opened(path: Path, *formats: str) -> Generator[tuple[Image.Image, Png | Non
         png = png_parts(f"{path}", content) if content.startswith(SIGNATURE) else None
         if png is None and "JPEG" not in formats:
             raise DataError(
-                f"{path}: it begins with {content[:8]!r}, which no PNG does, and depth and ids are"
-                " read of nothing else; fetch it again"
+                f"{path}: not a readable image: it begins with {content[:8]!r}, which no PNG does,"
+                " and depth and ids are read of nothing else; fetch it again"
             )
         if png is not None:  # before Pillow says what it thinks of large images
             _check_pixels(path, png.width, png.height)

@@ -34,6 +34,8 @@ def below(folder: Path, name: object, source: str) -> Path:
     """The path that ``source`` names relative to ``folder``; it must not lead out of it."""
     if not isinstance(name, str) or not name or "\0" in name:
         raise DataError(f"{source}: {name!r}, expected the name of a file below {folder}")
+    if not name.isprintable():
+        raise DataError(f"{source}: {name[:80]!r}, expected a name of printable characters")
     relative = PurePosixPath(name)
     if relative.is_absolute() or ".." in relative.parts or "\\" in name:
         raise DataError(

@@ -61,23 +61,29 @@ def check_rows(where: str, image: Png) -> None:
                 found += len(decoder.decompress(part, _STEP))
                 part = decoder.unconsumed_tail
     except zlib.error as error:
-        raise DataError(f"{where}: its pixels are damaged ({error}), fetch it again") from None
+        raise DataError(
+            f"{where}: not a readable image: its pixels are damaged ({error}), fetch it again"
+        ) from None
     if found < image.size:
         raise DataError(
-            f"{where}: truncated, {found} of {image.size} bytes of its pixels are there; fetch it"
-            " again"
+            f"{where}: not a readable image: truncated, {found} of {image.size} bytes of its pixels"
+            " are there; fetch it again"
         )
 
 
 def _header(where: str, content: bytes) -> tuple[int, int, int, int, int]:
     """Width, height, bits of a value, type of colour, and whether it is interlaced."""
     if content[12:16] != b"IHDR" or len(content) < 33:
-        raise DataError(f"{where}: it does not begin with the header of a PNG, fetch it again")
+        raise DataError(
+            f"{where}: not a readable image: it does not begin with the header of a PNG; fetch it"
+            " again"
+        )
     width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
     depth, colour, _, _, interlaced = content[24:29]
     if not (width and height) or colour not in _CHANNELS or depth not in (1, 2, 4, 8, 16):
         raise DataError(
-            f"{where}: its header says {width} x {height} pixels of {depth} bits, colour {colour}"
+            f"{where}: not a readable image: its header says {width} x {height} pixels of {depth}"
+            f" bits, colour {colour}; fetch it again"
         )
     return width, height, depth, colour, interlaced
 
@@ -91,4 +97,6 @@ def _chunks(where: str, content: bytes) -> Iterator[tuple[bytes, bytes]]:
         length = int.from_bytes(content[at : at + 4], "big")
         yield content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
         at += 12 + length
-    raise DataError(f"{where}: it has more than {MOST_CHUNKS} chunks, the most read")
+    raise DataError(
+        f"{where}: not a readable image: it has more than {MOST_CHUNKS} chunks, the most read"
+    )

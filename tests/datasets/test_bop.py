@@ -184,7 +184,8 @@ def text(file: str, content: str) -> Callable[[Path], object]:
         (edit(GT, lambda gt: gt.update({"0": 3})), "a int, expected a list", 6),
         (edit(GT, lambda gt: gt.update({"x": []})), "not an image number", 8),
         (edit(GT, lambda gt: gt["0"][0].update(obj_id=99)), "obj_id 99 is not in", 7),
-        (edit(GT, lambda gt: gt["0"].insert(0, "mug")), "obj_id None is not in", 8),
+        (edit(GT, lambda gt: gt["0"].__setitem__(0, "mug")), "obj_id: NoneType, expected an", 7),
+        (edit(GT, lambda gt: gt["0"].insert(0, gt["0"][0])), "has 3 entries, and 4 objects", 6),
         (edit(GT, lambda gt: gt["0"][0].update(cam_t_m2c=[0, 0])), "3 finite numbers", 7),
         (
             edit(GT, lambda gt: gt["0"][0].update(cam_t_m2c=[0, 0, float("nan")])),
@@ -198,7 +199,11 @@ def text(file: str, content: str) -> Callable[[Path], object]:
             7,
         ),
         (edit(CAMERAS, lambda c: c["0"].pop("cam_K")), "cam_K: None, expected 9", 6),
-        (edit(CAMERAS, lambda c: c["0"].update(depth_scale=0)), "depth_scale 0", 6),
+        (
+            edit(CAMERAS, lambda c: c["0"].update(depth_scale=0)),
+            "depth_scale, millimetres of a step: 0",
+            6,
+        ),
         (edit(CAMERAS, lambda c: c.pop("3")), "entry in scene_camera.json", 6),
         (text("test/000002/rgb/000000.png", "<html>"), "not a readable image", 6),
         (

@@ -156,7 +156,7 @@ def append(text: str) -> Callable[[Path, list[Line]], None]:
         (change(mesh=""), "neither extents nor a mesh"),
         (change(mesh="", mask="", extent_x=1, extent_y=1, extent_z=1), "neither a mask nor a mesh"),
         (change(extent_x=0.1), "extent_x, extent_y, extent_z"),
-        (change(depth_unit=0), "depth_unit 0"),
+        (change(depth_unit=0), "depth_unit, metres of one step: 0, by which"),
         (change(symmetry="round"), "symmetry 'round'"),
         (append("kitchen/0,mug"), "as many values"),
         (append('"a,b'), "not a table"),
