@@ -258,6 +258,8 @@ class _Parser:
             for value in seen:
                 if seen.count(value) > 1:
                     raise self.fail(f"two columns have the {kind} {value!r}")
+                if not value.strip():
+                    raise self.fail(f"the {kind} of a column is {value!r}, expected a name")
         return Protocol(
             name=name,
             version=version,

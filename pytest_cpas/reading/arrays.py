@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.reading.files import opened
+from pytest_cpas.reading.zips import open_zip
 from pytest_cpas.types import DataError
 
 #: All arrays of a file together, bytes: half a million objects' poses are a tenth of it.
@@ -104,7 +105,7 @@ def read_npz(
         with opened(path, LARGEST_ARRAYS) as file:
             return read_npz(path, wanted, file)
     try:
-        with zipfile.ZipFile(source) as archive:
+        with open_zip(f"{path}", source, MOST_ARRAYS) as archive:
             members = _members(path, archive, wanted)
             arrays = {}
             for name, info in members.items():
@@ -142,10 +143,7 @@ def _members(
 ) -> dict[str, zipfile.ZipInfo]:
     """The members that hold the arrays that are wanted, or any, in the order of the names."""
     found: dict[str, zipfile.ZipInfo] = {}
-    infos = archive.infolist()
-    if len(infos) > MOST_ARRAYS:
-        raise DataError(f"{path}: {len(infos)} arrays, at most {MOST_ARRAYS} are read")
-    for info in infos:
+    for info in archive.infolist():
         name = info.filename.removesuffix(".npy")
         if wanted is not None and name not in wanted:
             continue

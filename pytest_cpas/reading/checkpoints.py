@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 
 from pytest_cpas.reading.files import opened
 from pytest_cpas.reading.pickle_walk import walk
+from pytest_cpas.reading.zips import open_zip
 from pytest_cpas.types import DataError
 
 #: Largest checkpoint, bytes.
@@ -17,6 +18,9 @@ LARGEST_CHECKPOINT = 2**34
 
 #: By how much the members of a checkpoint may exceed the file, which torch never compresses, bytes.
 _MARGIN = 2**20
+
+#: Tensors, and what is told of them. Large models have some thousand.
+_MOST_MEMBERS = 100_000
 
 #: Bytes of what is not tensors: 10,000 of them have two million.
 _LARGEST_PICKLES = 2**26
@@ -82,7 +86,7 @@ def _check(path: Path, file: BinaryIO, size: int) -> None:
         file.seek(0)
         _walk(f"{path}", file.read(_LARGEST_PICKLES), _OLD_PICKLES)
         return
-    with zipfile.ZipFile(file) as archive:
+    with open_zip(f"{path}", file, _MOST_MEMBERS) as archive:
         infos = archive.infolist()
         total = sum(info.file_size for info in infos)
         if total > size + _MARGIN:

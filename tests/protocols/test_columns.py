@@ -122,6 +122,8 @@ def test_declaration_is_read():
         (with_column(at={"iou": 0.5}), "two columns have the label 'IoU 0.5'"),
         (with_column(at={"iou": 0.7}, label="AUC"), "two columns have the label 'AUC'"),
         (with_column(at={"iou": 0.7}, label="\x1b[31m"), "label is .*expected a line of text"),
+        (with_column(at={"iou": 0.7}, label=""), "the label of a column is '', expected a name"),
+        (with_column(at={"iou": 0.7}, label=" "), "the label of a column is ' '"),
     ],
 )
 def test_bad_declaration_is_one_clear_sentence(content, told):

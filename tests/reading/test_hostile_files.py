@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import struct
 import time
 import zipfile
 from pathlib import Path
@@ -18,8 +19,9 @@ from pytest_cpas.evaluation import ResultsError, SampleError, StoredRun, merge, 
 from pytest_cpas.evaluation.results import checksum_of
 from pytest_cpas.golden import GoldenError
 from pytest_cpas.golden.files import read_golden
+from pytest_cpas.reading import checkpoints
 from pytest_cpas.reading.archives import ArchiveError, unpack
-from pytest_cpas.reading.arrays import LARGEST_ARRAYS, read_npz
+from pytest_cpas.reading.arrays import LARGEST_ARRAYS, MOST_ARRAYS, read_npz
 from pytest_cpas.reading.checkpoints import read_tensors
 from pytest_cpas.reading.files import opened, read_bytes
 from pytest_cpas.reading.images import read_rgb
@@ -543,3 +545,32 @@ def test_data_set_of_a_long_name(pytester, cpas):
     output = result.stdout.str() + result.stderr.str()
     assert "300 characters, at most" in output
     assert "Traceback" not in output
+
+
+def listing(count: int) -> bytes:
+    """An archive that is nothing but a list of so many members."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as archive:
+        archive.writestr("a", b"")
+    content = made.getvalue()
+    begin, end = content.index(b"PK\1\2"), content.index(b"PK\5\6")
+    members = content[begin:end] * count
+    tail = bytearray(content[end:])
+    tail[8:12] = struct.pack("<HH", count & 0xFFFF, count & 0xFFFF)
+    tail[12:16] = struct.pack("<I", len(members))
+    return content[:begin] + members + tail
+
+
+@pytest.mark.parametrize(
+    ("read", "most"),
+    [(read_npz, MOST_ARRAYS), (read_tensors, checkpoints._MOST_MEMBERS)],
+    ids=["npz", "tensors"],
+)
+def test_lists_of_members_are_counted_before_they_are_parsed(read, most, tmp_path):
+    pytest.importorskip("torch")
+    path = tmp_path / "x.bin"
+    path.write_bytes(listing(most + 1))
+    start = time.process_time()
+    with pytest.raises(DataError, match=rf"x\.bin: {most + 1} members, at most {most} are read"):
+        read(path)
+    assert time.process_time() - start < 1
