@@ -34,9 +34,12 @@ from typing import Any, Literal
 from pytest_cpas._files import write_file
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.reading.structured import read_toml
-from pytest_cpas.types import DataError, DeclarationError, raised_as
+from pytest_cpas.types import DataError, DeclarationError, raised_as, shown
 
 __all__ = ["KnownFailure", "gone", "known_failures", "read_known", "record_known"]
+
+#: Entries of a kind.
+_MOST_ENTRIES = 10_000
 
 Kind = Literal["contract", "dataset", "metric"]
 
@@ -120,12 +123,19 @@ def read_known(path: Path, kind: Kind, checks: Collection[str]) -> list[KnownFai
     except DataError as error:
         raise DeclarationError(f"{path}: known failures cannot be read ({error})") from error
     entries = _tables(path, content, kind)
+    if len(entries) > _MOST_ENTRIES:
+        raise DeclarationError(
+            f"{path}: {len(entries)} entries [[{kind}]], at most {_MOST_ENTRIES} are read; one"
+            " with a pattern covers many"
+        )
     known: list[KnownFailure] = []
+    seen: set[str] = set()
     for number, entry in enumerate(entries, start=1):
         try:
             known.append(_parse(entry, kind, checks))
-            if kind != "dataset" and [each.check for each in known].count(known[-1].check) > 1:
+            if kind != "dataset" and known[-1].check in seen:
                 raise ValueError(f"check {known[-1].check!r} is there twice")
+            seen.add(known[-1].check)
         except ValueError as error:
             raise DeclarationError(f"{path}: [[{kind}]] entry {number}: {error}") from error
     return known
@@ -153,17 +163,17 @@ def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:
     needed = ("check", "reason", *(_RECORDED if kind == "metric" else ()))
     possible = (*needed, *(_PATTERNS if kind == "dataset" else ()))
     if not isinstance(entry, dict) or not all(isinstance(text, str) for text in entry.values()):
-        raise ValueError(f"{entry!r}, expected {', '.join(needed)} as text")
+        raise ValueError(f"{shown(entry)}, expected {', '.join(needed)} as text")
     if kind == "metric":
         entry = {_OLD_KEYS.get(key, key): text for key, text in entry.items()}
     missing = [key for key in needed if not entry.get(key, "").strip()]
     if missing:
         raise ValueError(f"{' and '.join(missing)} missing, expected {', '.join(needed)}")
     if unknown := sorted(entry.keys() - set(possible)):
-        raise ValueError(f"{', '.join(unknown)}, expected some of {', '.join(possible)}")
+        raise ValueError(f"{shown(unknown)}, expected some of {', '.join(possible)}")
     if entry["check"] not in checks:
         raise ValueError(
-            f"there is no check {entry['check']!r}; the checks are {', '.join(checks)}"
+            f"there is no check {shown(entry['check'])}; the checks are {', '.join(checks)}"
         )
     if kind == "metric":
         entry["outcome"] = Outcome(entry["outcome"])

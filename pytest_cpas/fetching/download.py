@@ -16,7 +16,7 @@ from typing import Any
 
 from pytest_cpas._files import write_file
 from pytest_cpas.reading.files import read_text
-from pytest_cpas.types import ToldError
+from pytest_cpas.types import ToldError, shown
 
 #: Seconds to wait for a connection, and for the next bytes.
 TIMEOUT = (30, 60)
@@ -26,6 +26,9 @@ ATTEMPTS = 4
 
 #: Longest file that is taken, bytes.
 MAX_BYTES = 200 * 2**30
+
+#: Largest file of checksums, bytes.
+_LARGEST_SUMS = 2**22
 
 
 class FetchError(ToldError):
@@ -40,11 +43,11 @@ class Checksums:
         self.path = folder / "SHA256SUMS"
         self._known: dict[str, str] = {}
         if self.path.is_file():
-            for line in read_text(self.path, errors="replace").splitlines():
+            for line in read_text(self.path, _LARGEST_SUMS, errors="replace").splitlines():
                 match = re.fullmatch(r"([0-9a-f]{64})  (.+)", line)
                 if match is None:
                     raise FetchError(
-                        f"{self.path}: line {line!r}, expected a SHA-256 sum, two blanks and a"
+                        f"{self.path}: line {shown(line)}, expected a SHA-256 sum, two blanks and a"
                         " name; mend or remove the line"
                     )
                 self._known[match[2]] = match[1]
@@ -76,8 +79,13 @@ def announced_size(url: str) -> int | None:
         )
     except requests.RequestException as error:
         raise FetchError(f"{url}: no answer ({error}); is there a connection?") from error
-    length = answer.headers.get("Content-Length", "")
-    return int(length) if answer.ok and length.isdigit() else None
+    return _length(answer.headers) if answer.ok else None
+
+
+def _length(headers: Any) -> int | None:
+    """How many bytes are to come, as the server says; None if it says nothing of use."""
+    length: str = headers.get("Content-Length", "")
+    return int(length) if re.fullmatch("[0-9]{1,15}", length) else None
 
 
 def download(url: str, path: Path, known: str | None, sums: Path | None = None) -> str:
@@ -155,7 +163,7 @@ class _Resuming:
         from tqdm import tqdm
 
         have = self._size()
-        version = read_text(self._note, errors="replace") if self._note.is_file() else ""
+        version = read_text(self._note, 2**12, errors="replace") if self._note.is_file() else ""
         headers = {"Accept-Encoding": "identity"}
         if have and version:
             headers |= {"Range": f"bytes={have}-", "If-Range": version}
@@ -169,9 +177,11 @@ class _Resuming:
             start = have if answer.status_code == 206 else 0
             said = answer.headers.get("Content-Range", "")
             if answer.status_code == 206 and not said.startswith(f"bytes {start}-"):
-                raise requests.RequestException(f"asked for bytes from {start} on, got {said!r}")
-            length = answer.headers.get("Content-Length", "")
-            total = start + int(length) if length.isdigit() else None
+                raise requests.RequestException(
+                    f"asked for bytes from {start} on, got {shown(said)}"
+                )
+            length = _length(answer.headers)
+            total = None if length is None else start + length
             free = shutil.disk_usage(self._part.parent).free
             if total is not None and total - start > free:
                 raise FetchError(f"{url}: {total - start} bytes are to come, {free} are free")

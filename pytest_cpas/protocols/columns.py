@@ -6,12 +6,13 @@ import functools
 import itertools
 import re
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from pytest_cpas.facts import Fact, FactError, fact
-from pytest_cpas.types import ContractError
+from pytest_cpas.types import ContractError, shown
 
 __all__ = ["Column", "CountColumn", "Protocol", "ProtocolError", "RankingColumn", "ScoreColumn"]
 
@@ -228,25 +229,31 @@ class _Parser:
         value = section.get(key, default)
         if value is None:
             raise self.fail(f"{key} is missing, expected a line of text")
-        if not isinstance(value, str) or not value.isprintable() or len(value) > 200:
-            raise self.fail(f"{key} is {str(value)[:80]!r}, expected a line of text")
+        if (
+            not isinstance(value, str)
+            or not value.isprintable()
+            or len(value) > 200
+            or (key != "source" and not value.strip())
+        ):
+            raise self.fail(f"{key} is {shown(value)}, expected a line of text")
         return value
 
     def known(self, section: Mapping[str, object], keys: Sequence[str], what: str) -> None:
         for key in section:
             if key not in keys:
-                raise self.fail(f"{what} has {key!r}; it knows {', '.join(keys)}")
+                raise self.fail(f"{what} has {shown(key)}; it knows {', '.join(keys)}")
 
     def protocol(self) -> Protocol:
         self.known(self.content, ("name", "version", "title", "source", "columns"), "a protocol")
         name = self.text(self.content, "name")
         if not re.fullmatch(r"[a-z][a-z0-9-]{0,39}", name):
             raise self.fail(
-                f"name is {name!r}, expected up to 40 small letters, digits and '-', a letter first"
+                f"name is {shown(name)}, expected up to 40 small letters, digits and '-', a letter"
+                " first"
             )
         version = self.content.get("version", 1)
         if type(version) is not int or version < 1:
-            raise self.fail(f"version is {version!r}, expected a whole number from 1")
+            raise self.fail(f"version is {shown(version)}, expected a whole number from 1")
         sections = self.content.get("columns")
         if not isinstance(sections, list) or not sections:
             raise self.fail("columns is empty or missing, expected [[columns]] tables")
@@ -254,12 +261,9 @@ class _Parser:
             raise self.fail(f"{len(sections)} columns, at most {_MOST_COLUMNS} are read")
         columns = [self.column(name, section) for section in sections]
         for kind in ("id", "label"):
-            seen = [getattr(column, kind) for column in columns]
-            for value in seen:
-                if seen.count(value) > 1:
-                    raise self.fail(f"two columns have the {kind} {value!r}")
-                if not value.strip():
-                    raise self.fail(f"the {kind} of a column is {value!r}, expected a name")
+            value, times = Counter(getattr(each, kind) for each in columns).most_common(1)[0]
+            if times > 1:
+                raise self.fail(f"two columns have the {kind} {value!r}")
         return Protocol(
             name=name,
             version=version,
@@ -270,7 +274,7 @@ class _Parser:
 
     def column(self, protocol: str, section: object) -> Column:
         if not isinstance(section, dict):
-            raise self.fail(f"a column is {section!r}, expected a [[columns]] table")
+            raise self.fail(f"a column is {shown(section)}, expected a [[columns]] table")
         self.known(
             section,
             ("id", "label", "guard", *_KINDS, "bins", "matched"),
@@ -278,10 +282,10 @@ class _Parser:
         )
         name = self.text(section, "id")
         if not re.fullmatch(r"[a-z0-9][a-z0-9_]{0,59}", name):
-            raise self.fail(f"id is {name!r}, expected up to 60 small letters, digits and '_'")
+            raise self.fail(f"id is {shown(name)}, expected up to 60 small letters, digits and '_'")
         guard = section.get("guard", False)
         if not isinstance(guard, bool):
-            raise self.fail(f"column {name}: guard is {guard!r}, expected true or false")
+            raise self.fail(f"column {name}: guard is {shown(guard)}, expected true or false")
         kinds = [kind for kind in _KINDS if kind in section]
         if len(kinds) != 1:
             raise self.fail(
@@ -322,7 +326,9 @@ class _Parser:
         }
         bins = section.get("bins", 0)
         if type(bins) is not int or not 0 <= bins <= 10_000:
-            raise self.fail(f"column {name}: bins is {bins!r}, expected a whole number to 10000")
+            raise self.fail(
+                f"column {name}: bins is {shown(bins)}, expected a whole number to 10000"
+            )
         told = " x ".join(
             f"{fact(key).limit_label(start)} to {fact(key).limit_label(stop)}"
             for key, (start, stop) in areas.items()
@@ -355,29 +361,32 @@ class _Parser:
 
     def fact(self, column: str, name: object) -> Fact:
         try:
-            return fact(str(name))
+            if not isinstance(name, str) or len(name) > 60:
+                raise self.fail(f"column {column}: there is no fact {shown(name)}")
+            return fact(name)
         except FactError as error:
             raise self.fail(f"column {column}: {error}") from None
 
     def facts(self, column: str, section: object) -> list[tuple[Fact, object]]:
         if not isinstance(section, dict) or not section:
-            raise self.fail(f"column {column}: {section!r}, expected facts and their limits")
+            raise self.fail(f"column {column}: {shown(section)}, expected facts and their limits")
         return [(self.fact(column, name), value) for name, value in section.items()]
 
     def limit(self, column: str, made: Fact, value: object) -> float:
         largest = 1.0 if made.better == "higher" else _LARGEST[made.unit]
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.fail(f"column {column}: {made.name} is {value!r}, expected a number")
+            raise self.fail(f"column {column}: {made.name} is {shown(value)}, expected a number")
         if not 0 <= value <= largest:
             unit = f" {made.unit}" if made.unit else ""
             raise self.fail(
-                f"column {column}: {made.name} is {value}{unit}, expected 0 to {largest:g}{unit}"
+                f"column {column}: {made.name} is {shown(value)}{unit}, expected 0 to"
+                f" {largest:g}{unit}"
             )
         return float(value)
 
     def ends(self, column: str, made: Fact, value: object) -> tuple[float, float]:
         if not isinstance(value, list) or len(value) != 2:
-            raise self.fail(f"column {column}: {made.name} is {value!r}, expected [from, to]")
+            raise self.fail(f"column {column}: {made.name} is {shown(value)}, expected [from, to]")
         start, stop = (self.limit(column, made, end) for end in value)
         if not start < stop:
             raise self.fail(f"column {column}: {made.name} runs from {start:g} to {stop:g}")
@@ -385,8 +394,10 @@ class _Parser:
 
     def levels(self, column: str, made: Fact, value: object) -> tuple[float, ...]:
         if not isinstance(value, list) or not 1 <= len(value) <= _MOST_LEVELS:
-            seen = str(value)[:80]
-            raise self.fail(f"column {column}: {made.name} is {seen}, expected a list of limits")
+            raise self.fail(
+                f"column {column}: {made.name} is {shown(value)}, expected a list of limits, at most"
+                f" {_MOST_LEVELS}"
+            )
         limits = tuple(self.limit(column, made, each) for each in value)
         if any(later <= before for before, later in itertools.pairwise(limits)):
             raise self.fail(f"column {column}: the limits on {made.name} do not rise")

@@ -183,14 +183,14 @@ def _checked(name: str) -> PurePosixPath:
         raise ArchiveError(f"{shown(name)} leads out of the folder")
     if path.parts[0] == KEPT:
         raise ArchiveError(f"{shown(name)} is where downloads are kept, which no archive holds")
-    if len(path.parts) > _DEEPEST:
-        raise ArchiveError(
-            f"{shown(name)} lies in {len(path.parts) - 1} folders, at most {_DEEPEST - 1} are made"
-        )
     if len(name) > _LONGEST_PATH or any(len(os.fsencode(p)) > _LONGEST_NAME for p in path.parts):
         raise ArchiveError(
             f"{shown(name)} has {len(name)} characters; a path may have {_LONGEST_PATH}, and"
             f" each name in it {_LONGEST_NAME} bytes"
+        )
+    if len(path.parts) > _DEEPEST:
+        raise ArchiveError(
+            f"{shown(name)} lies in {len(path.parts) - 1} folders, at most {_DEEPEST - 1} are made"
         )
     return path
 

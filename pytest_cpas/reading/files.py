@@ -19,6 +19,9 @@ LARGEST = 2**28
 #: Characters of a line of a table.
 LONGEST_LINE = 2**20
 
+#: What some editors write before a text in UTF-8. It is no part of it.
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+
 _KINDS = {
     stat.S_IFIFO: "a named pipe",
     stat.S_IFCHR: "a device",
@@ -109,12 +112,16 @@ def read_text(path: Path, limit: int = LARGEST, errors: str = "strict") -> str:
 
 
 def decoded(path: Path, content: bytes, errors: str = "strict") -> str:
-    """``content`` of ``path`` as text; :class:`DataError` says where it is not UTF-8."""
+    """``content`` of ``path`` as text, without a byte order mark; :class:`DataError` says where it
+    is not UTF-8."""
+    content = content.removeprefix(BYTE_ORDER_MARK)
     try:
         return content.decode("utf-8", errors)
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise DataError(f"{path}, line {line}: not text in UTF-8 ({error.reason})") from error
+        raise DataError(
+            f"{path}, line {line}: not text in UTF-8 ({error.reason}); save it as UTF-8"
+        ) from error
 
 
 def sha256(path: Path, limit: int = 2**40) -> str:

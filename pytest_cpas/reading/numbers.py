@@ -8,20 +8,35 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pytest_cpas.reading.words import decimal
 from pytest_cpas.types import Array, DataError, shown
 from pytest_cpas.types._arrays import LARGEST
 
 
 def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
-    """Finite numbers of this shape, given as (nested) lists or flat."""
+    """Finite numbers of this shape, given as (nested) lists, texts in decimal digits, or flat."""
     try:
-        with np.errstate(over="ignore"):  # what becomes infinite is refused
-            array = np.array(value, dtype=float)
+        if isinstance(value, np.ndarray) and value.dtype.kind in "iuf":
+            array = value.astype(float)
+        else:
+            leaves = np.array(value, dtype=object)
+            with np.errstate(over="ignore"):  # what becomes infinite is refused
+                array = np.array([_number(leaf) for leaf in leaves.ravel()], dtype=float)
     except (TypeError, ValueError, OverflowError, RecursionError):
         array = np.array([np.nan])
     if array.size != math.prod(shape) or not (np.abs(array) <= LARGEST).all():
         raise DataError(f"{what}: {shown(value)}, expected {math.prod(shape)} finite numbers")
     return array.reshape(shape)
+
+
+def _number(leaf: object) -> float:
+    """NaN for what is no number."""
+    if isinstance(leaf, str):
+        number = decimal(leaf)
+        return math.nan if number is None else number
+    if isinstance(leaf, int | float | np.integer | np.floating) and not isinstance(leaf, bool):
+        return float(leaf)
+    return math.nan
 
 
 def whole(text: object) -> int | None:

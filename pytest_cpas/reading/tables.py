@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from pytest_cpas.reading.files import LARGEST, lines_of, read_text
-from pytest_cpas.types import DataError
+from pytest_cpas.reading.words import decimal
+from pytest_cpas.types import DataError, shown
 
 #: Fields of a line.
 _MOST_FIELDS = 1000
@@ -64,8 +65,13 @@ def read_csv(path: Path, limit: int = LARGEST) -> list[dict[str, str]]:
 
 
 def real(text: str, least: float = 0.0, most: float = math.inf) -> float:
-    """The number that a field holds, from ``least`` to ``most``; ValueError for any other text."""
-    number = float(text)
-    if not least <= number <= most:
-        raise ValueError(f"{text[:80]!r}, expected a number from {least:g} to {most:g}")
+    """The number that a field holds, from ``least`` to ``most``; ValueError for any other text.
+
+    It is written in decimal digits of ASCII without blanks, or as inf or -inf, as Python does.
+    """
+    number = decimal(text)
+    if number is None and text in ("inf", "-inf"):
+        number = float(text)
+    if number is None or not least <= number <= most:
+        raise ValueError(f"{shown(text)}, expected a number from {least:g} to {most:g}")
     return number

@@ -67,7 +67,7 @@ def test_declaration_is_read():
         ({**GOOD, "name": "Mine"}, "name is 'Mine', expected up to 40 small letters"),
         ({**GOOD, "name": "../mine"}, "name is '../mine'"),
         ({**GOOD, "name": "m" * 41}, "expected up to 40"),
-        ({**GOOD, "name": 3}, "name is '3', expected a line of text"),
+        ({**GOOD, "name": 3}, "name is 3, expected a line of text"),
         ({**GOOD, "title": "two\nlines"}, "title is .*expected a line of text"),
         ({**GOOD, "title": "x" * 300}, "expected a line of text"),
         ({**GOOD, "version": 0}, "version is 0, expected a whole number from 1"),
@@ -122,7 +122,7 @@ def test_declaration_is_read():
         (with_column(at={"iou": 0.5}), "two columns have the label 'IoU 0.5'"),
         (with_column(at={"iou": 0.7}, label="AUC"), "two columns have the label 'AUC'"),
         (with_column(at={"iou": 0.7}, label="\x1b[31m"), "label is .*expected a line of text"),
-        (with_column(at={"iou": 0.7}, label=""), "the label of a column is '', expected a name"),
+        (with_column(at={"iou": 0.7}, label=""), "label is '', expected a line of text"),
         (with_column(at={"iou": 0.7}, label=" "), "the label of a column is ' '"),
     ],
 )
