@@ -34,7 +34,7 @@ from typing import Any, Literal
 from pytest_cpas._files import write_file
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.reading.structured import read_toml
-from pytest_cpas.types import DataError, DeclarationError, raised_as, shown
+from pytest_cpas.types import DataError, DeclarationError, raised_as, shortened, shown
 
 __all__ = ["KnownFailure", "gone", "known_failures", "read_known", "record_known"]
 
@@ -170,7 +170,9 @@ def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:
     if missing:
         raise ValueError(f"{' and '.join(missing)} missing, expected {', '.join(needed)}")
     if unknown := sorted(entry.keys() - set(possible)):
-        raise ValueError(f"{shown(unknown)}, expected some of {', '.join(possible)}")
+        raise ValueError(
+            f"{shortened(', '.join(unknown), 100)}, expected some of {', '.join(possible)}"
+        )
     if entry["check"] not in checks:
         raise ValueError(
             f"there is no check {shown(entry['check'])}; the checks are {', '.join(checks)}"

@@ -395,7 +395,7 @@ class _Parser:
     def levels(self, column: str, made: Fact, value: object) -> tuple[float, ...]:
         if not isinstance(value, list) or not 1 <= len(value) <= _MOST_LEVELS:
             raise self.fail(
-                f"column {column}: {made.name} is {shown(value)}, expected a list of limits, at most"
+                f"column {column}: {made.name} is {shown(value)}, expected a list of limits, up to"
                 f" {_MOST_LEVELS}"
             )
         limits = tuple(self.limit(column, made, each) for each in value)
