@@ -20,6 +20,10 @@ from pytest_cpas.types import DataError, ToldError
 _OUTCOMES: tuple[Literal["outcome", "golden"], ...] = ("outcome", "golden")
 
 
+#: Lists, tables and keys of a document: a dozen for each of hundreds of thousands of samples.
+_MOST_PARTS = 4_000_000
+
+
 class StoredReportError(ToldError):
     """A file that is no report of this version, or that does not fit another one."""
 
@@ -30,7 +34,7 @@ def read_report(path: Path) -> Document:
     from jsonschema.exceptions import best_match
 
     try:
-        content = read_json(path)
+        content = read_json(path, most=_MOST_PARTS)
     except DataError as error:
         raise StoredReportError(str(error)) from error
     if "format" not in content:

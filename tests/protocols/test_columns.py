@@ -123,7 +123,7 @@ def test_declaration_is_read():
         (with_column(at={"iou": 0.7}, label="AUC"), "two columns have the label 'AUC'"),
         (with_column(at={"iou": 0.7}, label="\x1b[31m"), "label is .*expected a line of text"),
         (with_column(at={"iou": 0.7}, label=""), "label is '', expected a line of text"),
-        (with_column(at={"iou": 0.7}, label=" "), "the label of a column is ' '"),
+        (with_column(at={"iou": 0.7}, label=" "), "label is ' '"),
     ],
 )
 def test_bad_declaration_is_one_clear_sentence(content, told):
