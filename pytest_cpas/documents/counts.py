@@ -2,7 +2,14 @@
 
 from typing import Annotated, Literal, TypedDict
 
-from pytest_cpas.documents._allowed import AboveZero, Natural, NotNegative, Percent, Positive
+from pytest_cpas.documents._allowed import (
+    AboveZero,
+    Allowed,
+    Natural,
+    NotNegative,
+    Percent,
+    Positive,
+)
 
 #: What the threshold of a curve is on.
 CurveName = Literal["position_m", "rotation_deg", "fscore_1cm"]
@@ -29,12 +36,27 @@ class PublishedCountDocument(TypedDict):
     total: Positive
 
 
+#: Low and high; null is infinite.
+_Ends = Annotated[list[float | None], Allowed(length=2)]
+
+
+class IntervalsDocument(TypedDict):
+    """Between what a figure lies at 95 %, as [low, high]; null where that says nothing.
+
+    Made of :class:`pytest_cpas.protocols.Intervals`; :mod:`pytest_cpas.metrics.intervals` has how.
+    """
+
+    sample: Annotated[_Ends | None, "As if samples were independent of each other."]
+    scene: Annotated[_Ends | None, "By a cluster bootstrap of whole scenes."]
+
+
 class PrecisionDocument(TypedDict):
     """A category (all: every one) at a joint threshold, by its label; null is n/a or not known."""
 
     category: str
     threshold: str
     measured: CountDocument | None
+    intervals: Annotated[IntervalsDocument | None, "Of the measured share."]
     golden: CountDocument | None
     published: PublishedCountDocument | None
 
@@ -47,7 +69,11 @@ class ScoreDocument(TypedDict):
 
     category: str
     score: Annotated[str, "The label of the column."]
+    guard: Annotated[bool, "Whether it is there to be guarded more than to be read."]
     measured: float | None
+    intervals: Annotated[
+        IntervalsDocument | None, "Of the measured number; null for average precision."
+    ]
     golden: float | None
     samples: Annotated[Natural, "Of how many samples the number is known."]
     better: Literal["lower", "higher"]

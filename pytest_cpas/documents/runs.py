@@ -98,6 +98,7 @@ class SampleDocument(TypedDict):
 
     sample: str
     category: str
+    scene: Annotated[str, "Samples of one scene have the same; empty if it is not known."]
     outcome: Annotated[
         _Outcomes | None,
         "Per threshold and guard: 1 correct, 0 not, - n/a; null: the sample could not be judged,"
@@ -157,6 +158,9 @@ class RunDocument(TypedDict):
     judged: Annotated[Natural, "Samples with a row."]
     listed: Annotated[Natural, "Samples that there are, judged or not."]
     unanswered: Annotated[Natural, "Judged samples for which the method gave no answer."]
+    scenes: Annotated[
+        Natural | None, "Of the judged samples; null if it is not known of all of them."
+    ]
     categories: dict[str, CategoryDocument]
     seeds: Positive
     missing: Annotated[

@@ -3,7 +3,8 @@
 A published table has no samples, so two counts are compared: a cell is worse if the exact
 binomial interval of the run's precision lies below the published precision. The interval's
 confidence is shared out among the cells of a run, so that a run as good as the published one is
-called worse with at most ``FALSE_ALARMS`` probability, whatever the number of cells.
+called worse with at most ``FALSE_ALARMS`` probability, whatever the number of cells. The interval
+is per sample, since both figures are of the same scenes; that by scene stands beside.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from types import MappingProxyType
 
 from pytest_cpas.golden.files import shipped_golden
 from pytest_cpas.golden.words import Word
+from pytest_cpas.metrics.intervals import CONFIDENCE, Interval
 from pytest_cpas.metrics.precision import Count
-from pytest_cpas.protocols import PAPER, CountColumn, shipped_protocol
+from pytest_cpas.protocols import PAPER, CountColumn, Intervals, shipped_protocol
 from pytest_cpas.reading.tables import read_csv
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.datasets import STORED
@@ -155,27 +158,30 @@ def _read(name: str) -> list[dict[str, str]]:
 
 
 def compare_published(
-    cells: Sequence[PublishedCell], table: Mapping[str, Mapping[str, Count | None]]
+    cells: Sequence[PublishedCell],
+    table: Mapping[str, Mapping[str, Count | None]],
+    intervals: Mapping[str, Mapping[str, Intervals]] = MappingProxyType({}),
 ) -> list[Verdict]:
-    """One verdict per category; it states the margin of every cell that both have.
+    """One verdict per category; it states the margin of every cell that both have, and its interval
+    by scene, where there is one among ``intervals``.
 
     Worse in one cell makes a category REGRESSED; better ones pass. A part of the samples can be
     worse, but not agree: that is one more verdict, NOT CHECKED. It names the figures over all
     categories that are left out because other categories were judged. Pure.
     """
     compared = [
-        (expected, count)
+        (expected, count, _by_scene(intervals, cell))
         for cell in cells
         if (count := table.get(cell.category, {}).get(cell.column)) is not None
         if (expected := _expected(cell, cells, table)) is not None
     ]
     verdicts = []
-    for category in sorted({expected.category for expected, _ in compared}):
+    for category in sorted({expected.category for expected, *_ in compared}):
         lines: dict[Word, list[str]] = {Word.REGRESSED: [], Word.ABOVE: [], Word.AGREES: []}
-        for expected, count in compared:
+        for expected, count, by_scene in compared:
             if expected.category == category:
                 # a two-sided interval, of which only the lower side can raise a false alarm
-                word, line = _judge(expected, count, 1 - 2 * FALSE_ALARMS / len(compared))
+                word, line = _judge(expected, count, 1 - 2 * FALSE_ALARMS / len(compared), by_scene)
                 lines[word].append(line)
         word = next(word for word, told in lines.items() if told)
         verdicts.append(Verdict(word, category, "\n  ".join(chain.from_iterable(lines.values()))))
@@ -184,7 +190,7 @@ def compare_published(
     total = max((cell.total for cell in cells), default=0)
     if 0 < seen < total:
         told = f"{seen} of the {total} samples of the published table judged"
-        done = {(expected.category, expected.label) for expected, _ in compared}
+        done = {(expected.category, expected.label) for expected, *_ in compared}
         if left := [c.label for c in cells if c.category == ALL and (ALL, c.label) not in done]:
             told += (
                 f"; not compared: all at {' and at '.join(left)}, which is published over"
@@ -258,7 +264,16 @@ def _judged(
     return {category: count for category, count in judged.items() if count}
 
 
-def _judge(expected: _Expected, count: Count, confidence: float) -> tuple[Word, str]:
+def _by_scene(
+    intervals: Mapping[str, Mapping[str, Intervals]], cell: PublishedCell
+) -> Interval | None:
+    made = intervals.get(cell.category, {}).get(cell.column)
+    return None if made is None else made.scene
+
+
+def _judge(
+    expected: _Expected, count: Count, confidence: float, by_scene: Interval | None
+) -> tuple[Word, str]:
     low, high = count.interval(confidence)
     # the smallest count that would not be called worse: what this many samples can detect
     needed = bisect.bisect_left(
@@ -267,9 +282,16 @@ def _judge(expected: _Expected, count: Count, confidence: float) -> tuple[Word, 
         key=lambda k: Count(k, count.total).interval(confidence)[1],
     )
     margin = f"worse below {needed}/{count.total}" if needed else "so few cannot show it worse"
+    scenes = (
+        f"; by scene, at {100 * CONFIDENCE:.0f} %, {100 * by_scene.low:.1f} to"
+        f" {100 * by_scene.high:.1f} %"
+        if by_scene
+        else ""
+    )
     line = (
-        f"{expected.label}: {count.correct}/{count.total} correct (interval {100 * low:.1f} to"
-        f" {100 * high:.1f} %), {expected.words}; {margin}"
+        f"{expected.label}: {count.correct}/{count.total} correct (interval per sample, at"
+        f" {100 * confidence:.5g} %, {100 * low:.1f} to {100 * high:.1f} %{scenes}),"
+        f" {expected.words}; {margin}"
     )
     if high < expected.lowest:
         return Word.REGRESSED, line

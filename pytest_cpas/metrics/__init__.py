@@ -14,6 +14,13 @@ from pytest_cpas.metrics.definitions import (
     definition,
     require_same_definition,
 )
+from pytest_cpas.metrics.intervals import (
+    Interval,
+    mean_interval,
+    median_interval,
+    scene_mean_intervals,
+    scene_median_interval,
+)
 from pytest_cpas.metrics.model_points import (
     ModelPoints,
     add,
@@ -57,6 +64,7 @@ __all__ = [
     "Definition",
     "Detections",
     "Errors",
+    "Interval",
     "JointThreshold",
     "ModelPoints",
     "Surface",
@@ -72,7 +80,9 @@ __all__ = [
     "diameter",
     "iou_auc",
     "iou_plus",
+    "mean_interval",
     "mean_over_categories",
+    "median_interval",
     "mspd",
     "mssd",
     "nocs_legacy_iou",
@@ -81,6 +91,8 @@ __all__ = [
     "require_same_definition",
     "rotation_error",
     "sample_surface",
+    "scene_mean_intervals",
+    "scene_median_interval",
     "surface_errors",
     "symmetric_iou",
     "symmetry_rotations",

@@ -9,6 +9,12 @@ from pytest_cpas.protocols.columns import (
     ScoreColumn,
 )
 from pytest_cpas.protocols.files import PAPER, read_protocol, shipped_protocol, shipped_protocols
+from pytest_cpas.protocols.intervals import (
+    Intervals,
+    IntervalTable,
+    count_intervals,
+    score_intervals,
+)
 from pytest_cpas.protocols.judging import (
     Score,
     ScoreTable,
@@ -27,6 +33,8 @@ __all__ = [
     "PAPER",
     "Column",
     "CountColumn",
+    "IntervalTable",
+    "Intervals",
     "Protocol",
     "ProtocolError",
     "RankedDetection",
@@ -37,6 +45,7 @@ __all__ = [
     "ScoreTable",
     "Table",
     "count_columns",
+    "count_intervals",
     "count_table",
     "facts_of",
     "judge_outcomes",
@@ -45,6 +54,7 @@ __all__ = [
     "ranking_table",
     "read_protocol",
     "score_columns",
+    "score_intervals",
     "score_table",
     "shipped_protocol",
     "shipped_protocols",

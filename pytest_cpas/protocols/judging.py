@@ -70,7 +70,7 @@ def facts_of(columns: Iterable[Column]) -> tuple[str, ...]:
     return tuple(in_order(made.name for column in columns for made in column.facts))
 
 
-class _Known:
+class Known:
     """The facts of n answers as columns: (n,) each, NaN where n/a."""
 
     def __init__(self, facts: Sequence[Facts]) -> None:
@@ -86,7 +86,7 @@ class _Known:
 
 def judge_outcomes(columns: Sequence[CountColumn], facts: Sequence[Facts]) -> list[str]:
     """Per answer one character for each column: correct 1, not 0, n/a -."""
-    known = _Known(facts)
+    known = Known(facts)
     letters = np.full((len(facts), len(columns)), ord("1"), dtype=np.uint8)
     for column, letter in zip(columns, letters.T, strict=True):
         values = [(made, limit, known[made.name]) for made, limit in column.conditions]
@@ -119,11 +119,11 @@ def score_table(
     columns: Sequence[ScoreColumn], categories: Sequence[str], facts: Sequence[Facts]
 ) -> ScoreTable:
     """The scores of samples whose categories and facts are given."""
-    known, of_sample = _Known(facts), np.array(categories, dtype=str)
+    known, of_sample = Known(facts), np.array(categories, dtype=str)
     names = [*sorted(set(categories)), *([ALL] if categories else [])]
     table: ScoreTable = {name: {} for name in names}
     for column in columns:
-        scores = _scores(column, known)
+        scores = sample_scores(column, known)
         for name in names:
             among = scores[(of_sample == name) | (name == ALL)]
             among = among[~np.isnan(among)]
@@ -134,7 +134,7 @@ def score_table(
     return table
 
 
-def _scores(column: ScoreColumn, known: _Known) -> Array:
+def sample_scores(column: ScoreColumn, known: Known) -> Array:
     """The number of each sample, NaN where n/a."""
     if column.median:
         return known[column.median]

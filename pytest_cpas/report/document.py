@@ -47,12 +47,14 @@ from pytest_cpas.protocols import (
     PAPER,
     Column,
     CountColumn,
+    IntervalTable,
     Protocol,
     RankingColumn,
     ScoreColumn,
     count_columns,
     score_columns,
 )
+from pytest_cpas.report.intervals import interval_table, intervals_document, scenes_of
 from pytest_cpas.report.lacking import lacking
 from pytest_cpas.report.literature import literature_documents
 from pytest_cpas.report.published import points, published_count, published_document
@@ -132,6 +134,7 @@ def run_document(
         }
         for verdict in verdicts
     ]
+    scenes, intervals = scenes_of(new), interval_table(new)
     # workers send them in any order
     checks = [_contract(result) for result in sorted(contract, key=lambda result: result.check)]
     return {
@@ -142,6 +145,7 @@ def run_document(
         "judged": len(new.samples),
         "listed": sum(run.listed.values()),
         "unanswered": sum(bool(sample.failure) for sample in new.samples.values()),
+        "scenes": None if scenes is None else len(set(scenes)),
         "categories": _categories(run, new),
         "seeds": run.seeds,
         "missing": list(run.missing),
@@ -152,9 +156,9 @@ def run_document(
             for finding in findings
         ],
         "contract": checks,
-        "precision": _precision(new, golden, published, guard=False),
-        "guards": _precision(new, golden, published, guard=True),
-        "scores": _scores(new, golden),
+        "precision": _precision(new, golden, intervals, published, guard=False),
+        "guards": _precision(new, golden, intervals, published, guard=True),
+        "scores": _scores(new, golden, intervals),
         "lacking": lacking(new),
         "curves": _curves(new),
         "flips": _flips(new, golden),
@@ -218,7 +222,12 @@ def label(column: Column) -> str:
 
 
 def _precision(
-    new: RunTable, golden: RunTable | None, published: str | None, *, guard: bool
+    new: RunTable,
+    golden: RunTable | None,
+    intervals: IntervalTable,
+    published: str | None,
+    *,
+    guard: bool,
 ) -> list[PrecisionDocument]:
     """One entry per category (and "all") and column; what is n/a is None."""
     cells = published_cells(published, new.method) if published else []
@@ -229,6 +238,7 @@ def _precision(
             "category": category,
             "threshold": label(column),
             "measured": _count(new.table.get(category, {}).get(column.key)),
+            "intervals": intervals_document(intervals.get(category, {}).get(column.key)),
             "golden": _count(old.get(category, {}).get(column.key)),
             "published": published_count(cell)
             if (cell := paper.get((category, column.key)))
@@ -239,7 +249,9 @@ def _precision(
     ]
 
 
-def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
+def _scores(
+    new: RunTable, golden: RunTable | None, intervals: IntervalTable
+) -> list[ScoreDocument]:
     old = golden.scores if golden else {}
     scores: list[ScoreDocument] = []
     columns: list[ScoreColumn | RankingColumn] = [
@@ -254,7 +266,9 @@ def _scores(new: RunTable, golden: RunTable | None) -> list[ScoreDocument]:
                 {
                     "category": category,
                     "score": label(column),
+                    "guard": column.guard,
                     "measured": _short(score.value) if score else None,
+                    "intervals": intervals_document(intervals.get(category, {}).get(column.key)),
                     "golden": _short(before.value) if before else None,
                     "samples": score.samples if score else 0,
                     "better": column.better,
@@ -360,6 +374,7 @@ def _samples(
             {
                 "sample": name,
                 "category": judged.category if judged else category[name],
+                "scene": new.scenes.get(name, ""),
                 "outcome": _outcome(judged, new, new) if judged else None,
                 "golden": _outcome(old[name], golden, new) if golden and name in old else None,
                 "position_m": shown.get("position_m"),

@@ -9,9 +9,18 @@ import re
 from collections.abc import Iterator, Sequence
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
-from pytest_cpas.documents import Document, RunDocument
+from pytest_cpas.documents import (
+    Document,
+    IntervalsDocument,
+    PrecisionDocument,
+    RunDocument,
+    ScoreDocument,
+)
+from pytest_cpas.golden.literature import LEGACY
 from pytest_cpas.protocols import PAPER
 from pytest_cpas.reading.text import csv_cell, latex
+from pytest_cpas.report.intervals import KINDS, ends_of, interval_messages
+from pytest_cpas.report.literature import REMARK, literature_table, printed_rows
 from pytest_cpas.report.messages import method_title
 from pytest_cpas.report.tables import (
     Cell,
@@ -28,6 +37,9 @@ from pytest_cpas.types.samples import ALL
 #: Data sets beside each other in a table.
 _BESIDE = 2
 
+#: The intervals at 95 % of what was measured; empty where they say nothing, or are infinite.
+_ENDS = ("sample_low", "sample_high", "scene_low", "scene_high")
+
 _COLUMNS = (
     "dataset",
     "method",
@@ -39,9 +51,13 @@ _COLUMNS = (
     "correct_high",
     "total",
     "precision",
+    *_ENDS,
 )
 
-_SCORES = ("dataset", "method", "source", "category", "protocol", "column", "samples", "value")
+_SCORES = (
+    *("dataset", "method", "source", "category", "protocol", "column", "samples", "value"),
+    *_ENDS,
+)
 
 #: How the best three of a column are marked.
 _MARKS = ("{}", r"\textbf{{{}}}", r"\underline{{{}}}", r"\textit{{{}}}")
@@ -63,19 +79,24 @@ def precision_csv(document: Document) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
-    for where, threshold, low, high, total in _counts(document):
+    for where, threshold, low, high, total, ends in _counts(document):
         texts = map(csv_cell, (*where, *split_label(threshold)))
-        writer.writerow((*texts, low, high, total, f"{low / total:.4f}"))
+        writer.writerow((*texts, low, high, total, f"{low / total:.4f}", *ends))
     return text.getvalue()
 
 
-def _counts(document: Document) -> Iterator[tuple[tuple[str, str, str, str], str, int, int, int]]:
-    """(data set, method, source, category), threshold, lowest and highest count, and total."""
+#: Data set, method, source, category.
+_Where = tuple[str, str, str, str]
+
+
+def _counts(document: Document) -> Iterator[tuple[_Where, str, int, int, int, list[str]]]:
+    """Where, threshold, lowest and highest count, total, and the ends of the intervals."""
     for run in document["runs"]:
         for entry in (*run["precision"], *run["guards"]):
             if count := entry["measured"]:
                 where = (run["dataset"], run["method"], "measured", entry["category"])
-                yield where, entry["threshold"], count["correct"], count["correct"], count["total"]
+                correct, ends = count["correct"], _ends(entry["intervals"])
+                yield where, entry["threshold"], correct, correct, count["total"], ends
     for dataset, methods in document["published"].items():
         for name, method in methods.items():
             for cell in method["precision"]:
@@ -86,7 +107,16 @@ def _counts(document: Document) -> Iterator[tuple[tuple[str, str, str, str], str
                     printed["lowest"],
                     printed["highest"],
                     printed["total"],
+                    _ends(None),
                 )
+
+
+def _ends(intervals: IntervalsDocument | None) -> list[str]:
+    """In the order of :data:`_ENDS`."""
+    if intervals is None:
+        return [""] * len(_ENDS)
+    pairs = (intervals["sample"] or [None, None], intervals["scene"] or [None, None])
+    return ["" if end is None else f"{end:.6g}" for pair in pairs for end in pair]
 
 
 def scores_csv(document: Document) -> str:
@@ -102,19 +132,20 @@ def scores_csv(document: Document) -> str:
             if (value := entry["measured"]) is not None:
                 where = (run["dataset"], run["method"], "measured", entry["category"])
                 texts = map(csv_cell, (*where, *split_label(entry["score"])))
-                writer.writerow((*texts, entry["samples"], f"{value:.6g}"))
+                ends = _ends(entry["intervals"])
+                writer.writerow((*texts, entry["samples"], f"{value:.6g}", *ends))
     for dataset, rows in document.get("literature", {}).items():
         for row in rows:
             for label, percent in row["percent"].items():
                 where = (dataset, row["method"], "literature", ALL)
                 texts = map(csv_cell, (*where, *split_label(label)))
-                writer.writerow((*texts, "", f"{percent / 100:.6g}"))
+                writer.writerow((*texts, "", f"{percent / 100:.6g}", *_ends(None)))
     return text.getvalue()
 
 
 def precision_tex(document: Document) -> str:
     r"""Tables for booktabs, to be taken in with ``\input``: over all categories, and per category;
-    then what is guarded, and the scores.
+    then what is guarded, the scores, intervals over all categories, and what the literature prints.
 
     Precision has four decimals, as in the paper; the best three of a column are marked.
     """
@@ -145,6 +176,8 @@ def precision_tex(document: Document) -> str:
                 [(_method(line), _precision([line.cells[i] for i in known])) for line in table],
             )
         lines += _scores(title, runs)
+        lines += _intervals(title, runs)
+        lines += _literature(title, runs, document)
     return "\n".join(lines) + "\n"
 
 
@@ -165,6 +198,57 @@ def _scores(title: str, runs: Sequence[RunDocument]) -> Iterator[str]:
                 for run in runs
             ],
         )
+
+
+def _intervals(title: str, runs: Sequence[RunDocument]) -> Iterator[str]:
+    """Per protocol the intervals of what is read over all categories: two lines a method."""
+    entries: dict[str, dict[str, PrecisionDocument | ScoreDocument]] = {}
+    for run in runs:
+        own: list[tuple[str, PrecisionDocument | ScoreDocument]] = [
+            *((entry["threshold"], entry) for entry in run["precision"]),
+            *((score["score"], score) for score in run["scores"] if not score["guard"]),
+        ]
+        for label, entry in own:
+            if entry["category"] == ALL and interval_messages(entry):
+                entries.setdefault(label, {})[run["method"]] = entry
+    for protocol, labels in of_protocols(entries).items():
+        yield from _table(
+            rf"Intervals at 95 \%{_under(protocol)} on {latex(title)}: per sample, as if all were"
+            " independent, and by scene.",
+            [[_own(label) for label in labels]],
+            [
+                (f"{latex(run['method'])}, {words}", [latex(cell or "n/a") for cell in cells])
+                for run in runs
+                for kind, words in KINDS.items()
+                if any(
+                    cells := [
+                        ends_of(entry, kind) if (entry := entries[label].get(run["method"])) else ""
+                        for label in labels
+                    ]
+                )
+            ],
+        )
+
+
+def _literature(title: str, runs: Sequence[RunDocument], document: Document) -> Iterator[str]:
+    """Average precision of the runs on a data set, above what is printed of it."""
+    tables = [literature_table(run, printed_rows(run, document)) for run in runs]
+    shown = [(run, table) for run, table in zip(runs, tables, strict=True) if table]
+    if not shown:
+        return
+    _, table = shown[0]
+    yield from _table(
+        rf"AP in \% of {latex(LEGACY)} on {latex(title)}, measured and as printed."
+        f" {latex(REMARK)}.",
+        [[*map(latex, table.columns), "Paper"]],
+        [
+            *((latex(run["method"]), [*own.own, ""]) for run, own in shown),
+            *(
+                (latex(method_title(row["method"], paper=True)), [*cells, latex(row["paper"])])
+                for row, cells in table.lines
+            ),
+        ],
+    )
 
 
 def _under(protocol: str) -> str:

@@ -15,6 +15,7 @@ from pytest_cpas.documents import (
 from pytest_cpas.golden.literature import LEGACY
 from pytest_cpas.reading.text import markdown as _text
 from pytest_cpas.reading.text import markdown_fence
+from pytest_cpas.report.intervals import interval_messages, interval_note
 from pytest_cpas.report.literature import REMARK, literature_table, printed_rows
 from pytest_cpas.report.messages import (
     change_messages,
@@ -195,13 +196,15 @@ def _categories(run: RunDocument) -> Iterator[str]:
             cells = []
             for entry in entries:
                 parts = [_count(Cell.measured(entry["measured"])) if entry["measured"] else "n/a"]
+                parts += interval_messages(entry)
                 parts += [f"{source} {cell.percent}" for source, cell in other_cells(entry)]
                 cells.append("<br>".join(parts))
             lines.append([_text(category), *cells])
         yield from _table(_head("correct", protocol, own), lines)
-    for line in run["lacking"]:
-        yield f"- n/a: {_text(line)}"
-    if run["lacking"]:
+    remarks = [*filter(None, [interval_note(run)]), *(f"n/a: {line}" for line in run["lacking"])]
+    for line in remarks:
+        yield f"- {_text(line)}"
+    if remarks:
         yield ""
     if message := contract_message(run["contract"]):
         yield _text(message)
@@ -253,7 +256,8 @@ def _literature(run: RunDocument, document: Document) -> Iterator[str]:
 
 def _side_cell(cell: SideCell) -> str:
     told = f"**{cell.measured}**" if cell.worse else cell.measured
-    return f"{told}<br>golden {cell.golden}" if cell.golden else told
+    golden = [f"golden {cell.golden}"] if cell.golden else []
+    return "<br>".join([told, *cell.intervals, *golden])
 
 
 def _head(words: str, protocol: str, own: Sequence[str]) -> list[str]:

@@ -24,7 +24,7 @@ class _ReportedRun(Run):
             told["method"],
             told["dataset"],
             [
-                SampleRef(id=sample["sample"], category=sample["category"], scene="")
+                SampleRef(id=sample["sample"], category=sample["category"], scene=sample["scene"])
                 for sample in told["samples"]
             ],
             missing=told["missing"],

@@ -18,6 +18,7 @@ from pytest_cpas.documents import (
     ScoreDocument,
 )
 from pytest_cpas.protocols import PAPER
+from pytest_cpas.report.intervals import interval_messages
 from pytest_cpas.types.samples import ALL
 
 #: What the paper prints of a data set, by method.
@@ -156,11 +157,15 @@ def protocol_title(words: str, protocol: str) -> str:
 
 @dataclass(frozen=True)
 class SideCell:
-    """A cell that is guarded, or a score: as measured, and as recorded if that is another."""
+    """A cell that is guarded, or a score: as measured, and as recorded if that is another.
+
+    ``intervals``: of what was measured, in words.
+    """
 
     measured: str
     golden: str
     worse: bool
+    intervals: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -177,10 +182,12 @@ def side_tables(run: RunDocument, kind: Literal["guards", "scores"]) -> Iterator
     cells: dict[str, dict[str, SideCell]] = {}
     if kind == "guards":
         for entry in run["guards"]:
-            cells.setdefault(entry["threshold"], {})[entry["category"]] = _guard(entry)
+            made = replace(_guard(entry), intervals=interval_messages(entry))
+            cells.setdefault(entry["threshold"], {})[entry["category"]] = made
     else:
         for score in run["scores"]:
-            cells.setdefault(score["score"], {})[score["category"]] = _score(score)
+            made = replace(_score(score), intervals=interval_messages(score))
+            cells.setdefault(score["score"], {})[score["category"]] = made
     known = [
         label
         for label, column in cells.items()

@@ -27,6 +27,7 @@ from pytest_cpas.golden import (
     record,
     recorded_words,
 )
+from pytest_cpas.report.intervals import interval_table
 from pytest_cpas.session.collected import CollectedRun
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.samples import ALL
@@ -120,7 +121,7 @@ def _verdicts(
         cells = published_cells(run.dataset, run.method)
         if excluded:  # and then a figure over all categories is none over those that were asked for
             cells = [cell for cell in cells if cell.category not in {*excluded, ALL}]
-        if verdicts := compare_published(cells, table.table):
+        if verdicts := compare_published(cells, table.table, interval_table(table)):
             return verdicts
     return compare(golden, table, alarm=alarm, excluded=excluded)
 

@@ -30,7 +30,7 @@ FREE = {
     *("method", "dataset", "category", "sample", "other", "name", "check", "message", "details"),
     *("failure", "error", "before", "after", "lines", "missing", "problems", "differences"),
     *("unpaired", "cpu", "device", "system", "python", "versions", "threads", "categories"),
-    *("identity", "provenance", "machine", "lacking"),
+    *("identity", "provenance", "machine", "lacking", "scene"),
 }
 
 #: Mappings whose keys are names: their texts are all of one kind.

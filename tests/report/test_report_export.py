@@ -25,6 +25,9 @@ def published() -> list[dict]:
 LIMITS = ("rotation_deg", "position_m", "fscore_1cm")
 
 
+ENDS = ("sample_low", "sample_high", "scene_low", "scene_high")
+
+
 def label_of(line: dict) -> str:
     """The label of the column that a line of the published table is of."""
     parts = [f"{line['rotation_deg']} deg", f"{100 * float(line['position_m']):g} cm"]
@@ -35,7 +38,7 @@ def test_csv_has_the_exact_counts():
     content = report(judged_run("mine", "redwood75", 60), judged_run("mine, too", "x\n2", 33))
     lines = read(precision_csv(content))
     paper = [
-        {k: v for k, v in line.items() if k not in ("source", "protocol", "precision")}
+        {k: v for k, v in line.items() if k not in ("source", "protocol", "precision", *ENDS)}
         for line in lines
         if line["source"] == "paper"
     ]
@@ -86,7 +89,8 @@ def tables(text: str) -> list[list[list[str]]]:
 
 def test_tex_has_the_papers_figures_and_marks():
     content = report(judged_run("mine", "real275", 60), judged_run("mine", "redwood75", 60))
-    overall, *categories, _, _, _, _ = tables(precision_tex(content))  # guards and scores are last
+    # guards, scores and intervals are last
+    overall, *categories, _, _, _, _, _, _ = tables(precision_tex(content))
     assert [line[0] for line in overall][:2] == ["mine", "asmnet (paper)"]
     assert len(overall) == 10
     order = [(name, label) for name in ("real275", "redwood75") for label in content["thresholds"]]
@@ -140,5 +144,5 @@ def test_a_method_alone_is_not_marked_and_what_is_not_given_is_na():
 def test_two_data_sets_stand_beside_each_other(count):
     content = report(*(judged_run("m", f"d{index}", 3) for index in range(count)))
     widths = [len(table[0]) - 1 for table in tables(precision_tex(content))]
-    beside = [7, 1] * count  # of each: seven guards, one score
+    beside = [7, 1, 4] * count  # of each: seven guards, one score, intervals
     assert widths == {1: [4], 2: [8], 3: [8, 4]}[count] + beside

@@ -8,13 +8,14 @@ import pytest
 from pages import Page
 from report_schema import follow_schema
 from tables import CPAS, REFS, Fixed, rows
+from test_report_export import tables
 from test_report_protocols import markdown_tables
 
 from pytest_cpas.golden import RunTable
 from pytest_cpas.golden.literature import literature
 from pytest_cpas.protocols import RankedDetection, Ranking, shipped_protocol
 from pytest_cpas.report.document import document, run_document
-from pytest_cpas.report.export import scores_csv
+from pytest_cpas.report.export import precision_tex, scores_csv
 from pytest_cpas.report.literature import REMARK, literature_table, nearest, printed_rows
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
@@ -102,6 +103,19 @@ def test_every_renderer_shows_all_lines(dataset, count):
     assert (line["category"], line["protocol"], line["samples"]) == ("all", "nocs-legacy", "")
     measured = {line["source"] for line in found if line["method"] == "m"}
     assert measured == {"measured"}
+
+
+@pytest.mark.parametrize(("dataset", "count"), [("real275", 26), ("camera25", 17)])
+def test_tables_of_a_paper_have_all_lines(dataset, count):
+    text = precision_tex(a_document(dataset))
+    own, *lines = tables(text)[-1]
+    assert own == ["m", *["50.0"] * 7, ""]
+    assert len(lines) == count
+    by_name = {line[0]: line[1:] for line in lines}
+    assert by_name["crnet (paper)"][-1] == "Wang et al., IROS 2021 (CR-Net)"
+    assert by_name["genpose (paper)"][:3] == ["", "", ""]
+    assert text.count(REMARK) == 1
+    assert REMARK not in precision_tex(a_document(dataset, CPAS))
 
 
 def test_terminal_shows_the_nearest_in_100_columns():

@@ -68,16 +68,16 @@ def test_markdown_has_tables_of_every_protocol():
     assert found["own: correct"][1:] == [["m", "9/10 90.0 %"]]
     (head, *lines) = found["own: correct again"]  # of the run, per category
     assert len(head) == 2
-    assert lines[-1] == ["all", "9/10 90.0 %<br>golden 100.0 %"]
+    assert lines[-1] == ["all", "9/10 90.0 %<br>55.5 to 99.7 % per sample<br>golden 100.0 %"]
     guards = {line[0]: line for line in found["guards"]}
     assert guards["guards"][1:3] == ["10 deg, 5 cm", "5 deg, 5 cm"]
     assert guards["all"][1:4] == [
-        "**90.0 %**<br>golden 100.0 %",
-        "**80.0 %**<br>golden 100.0 %",
-        "100.0 %",
+        "**90.0 %**<br>55.5 to 99.7 % per sample<br>golden 100.0 %",
+        "**80.0 %**<br>44.4 to 97.5 % per sample<br>golden 100.0 %",
+        "100.0 %<br>69.2 to 100.0 % per sample",
     ]
     assert found["own: guards"][0] == ["own: guards", "5 deg"]
-    assert found["scores"][-1] == ["all", "0.01"]
+    assert found["scores"][-1] == ["all", "0.01<br>0.01 to 0.01 per sample"]
     assert found["own: scores"] == [
         ["own: scores", "mean F"],
         *[[name, "95.0 %"] for name in ("can", "mug", "all")],
@@ -103,17 +103,19 @@ def test_page_has_tables_of_every_protocol():
     summaries = parsed.text["summary"]
     assert "Guards" in summaries
     assert "Scores" in summaries
-    assert '<span class="unmet">80.0 %</span><small>golden 100.0 %</small>' in text
+    beside = "<small>44.4 to 97.5 % per sample</small><small>golden 100.0 %</small>"
+    assert f'<span class="unmet">80.0 %</span>{beside}' in text
 
 
 def test_tables_of_a_paper_have_every_protocol():
     text = precision_tex(under(SEVERAL))
     found = tables(text)
-    # the paper's four, ours, guards of both, scores of all three
-    assert [len(table[0]) - 1 for table in found] == [4, 1, 7, 1, 1, 7, 1]
+    # the paper's four, ours, guards of both, scores of all three, intervals of what varies
+    assert [len(table[0]) - 1 for table in found] == [4, 1, 7, 1, 1, 7, 1, 4, 1, 4]
     assert r"\textless{}b\textgreater{}\textbar{}100 \%\_\$x\$ : y`" in text
     assert found[2][0][1:3] == ["0.9000", "0.8000"]
-    assert found[-1] == [["m", "0.9500"]]
+    assert found[6] == [["m", "0.9500"]]
+    assert found[8] == [["m, per sample", r"55.5 to 99.7 \%"]]
     for name in ("own", "omni6dpose"):
         assert f"Scores of {name} on d." in text
 

@@ -9,6 +9,7 @@ from typing import Literal
 from pytest_cpas.documents import Document, PrecisionDocument, RunDocument
 from pytest_cpas.golden.literature import LEGACY
 from pytest_cpas.report._html import Child, Element, element
+from pytest_cpas.report.intervals import interval_messages, interval_note
 from pytest_cpas.report.literature import REMARK, literature_table, printed_rows
 from pytest_cpas.report.messages import contract_message, flip_message, run_title, troubles
 from pytest_cpas.report.page._parts import badge, flip_table, protocol_head, table
@@ -39,6 +40,7 @@ def run_details(
         _gallery(run, pictures) if pictures else None,
         element("h3", "Per category"),
         list(_category_tables(run)),
+        element("p", interval_note(run), class_="faint"),
         [element("p", f"n/a: {line}", class_="faint") for line in run["lacking"]],
         list(_beside(run)),
         list(_literature(run, document)),
@@ -124,9 +126,8 @@ def _category_rows(
     for category, entries in categories:
         cells = []
         for entry in entries:
-            others = [
-                element("small", f"{source} {cell.percent}") for source, cell in other_cells(entry)
-            ]
+            beside = [f"{source} {cell.percent}" for source, cell in other_cells(entry)]
+            others = [element("small", told) for told in (*interval_messages(entry), *beside)]
             if entry["measured"] is None:
                 cells.append(element("td", "n/a", others, class_="faint"))
                 continue
@@ -190,7 +191,9 @@ def _literature(run: RunDocument, document: Document) -> Iterator[Element]:
 
 def _side_cell(cell: SideCell) -> Element:
     """What got worse than its golden cell is coloured."""
-    golden = element("small", f"golden {cell.golden}") if cell.golden else None
+    golden = [f"golden {cell.golden}"] if cell.golden else []
     return element(
-        "td", element("span", cell.measured, class_="unmet" if cell.worse else None), golden
+        "td",
+        element("span", cell.measured, class_="unmet" if cell.worse else None),
+        [element("small", told) for told in (*cell.intervals, *golden)],
     )

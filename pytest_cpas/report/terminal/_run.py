@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import pytest
 
 from pytest_cpas.documents import (
     ContractDocument,
-    CountDocument,
     RunDocument,
     SampleDocument,
-    ScoreDocument,
     SpeedDocument,
     VerdictDocument,
 )
 from pytest_cpas.golden import Word
 from pytest_cpas.golden.literature import LEGACY
+from pytest_cpas.report.intervals import interval_note
 from pytest_cpas.report.literature import (
     REMARK,
     literature_table,
@@ -30,11 +29,8 @@ from pytest_cpas.report.messages import (
     speed_lines,
     verdict_message,
 )
-from pytest_cpas.report.tables import protocol_title, split_label
+from pytest_cpas.report.terminal._cells import WIDTH, guard_tables, main_tables
 from pytest_cpas.report.terminal._table import FEW, Terminal
-
-#: Characters of a line that is read at a glance.
-_WIDTH = 100
 
 #: Lines of the literature that stand beside a run, those nearest to it.
 _NEAREST = 5
@@ -100,21 +96,18 @@ def _print_contract(terminal: Terminal, results: Sequence[ContractDocument]) -> 
 
 
 def _print_tables(terminal: Terminal, run: RunDocument) -> None:
-    """Counts as they are read, what is guarded in one line a category, and scores."""
-    counts = [(e["threshold"], e["category"], _cell(e["measured"])) for e in run["precision"]]
-    guards = [(e["threshold"], e["category"], _share(e["measured"])) for e in run["guards"]]
-    scores = [(e["score"], e["category"], _score(e)) for e in run["scores"]]
-    for first, cells in (("correct", counts), ("guards", guards), ("scores", scores)):
-        known = {label for label, _, cell in cells if cell != "n/a"}
-        # of the columns that are read, what is n/a is told; of the others, only what there is
-        shown = [cell for cell in cells if first == "correct" or cell[0] in known]
-        for protocol, own in _by_protocol(shown).items():
-            for lines in _tables(protocol_title(first, protocol), own):
-                terminal.write_table(lines)
+    """Counts as they are read, what is guarded, scores, and what is to be known of them."""
+    for lines in (*main_tables(run), *guard_tables(run)):
+        terminal.write_table(lines)
     _print_literature(terminal, run)
+    _wrapped(terminal, interval_note(run))
     for line in run["lacking"]:
-        for part in textwrap.wrap(f"n/a: {line}", _WIDTH, subsequent_indent="  "):
-            terminal.write_line(part)
+        _wrapped(terminal, f"n/a: {line}")
+
+
+def _wrapped(terminal: Terminal, text: str) -> None:
+    for part in textwrap.wrap(text, WIDTH, subsequent_indent="  "):
+        terminal.write_line(part)
 
 
 def _print_literature(terminal: Terminal, run: RunDocument) -> None:
@@ -127,57 +120,7 @@ def _print_literature(terminal: Terminal, run: RunDocument) -> None:
     lines += [[row["method"], *cells] for row, cells in table.lines]
     terminal.write_table(lines)
     told = f"literature: the nearest {len(table.lines)} of {len(rows)} printed lines. {REMARK}"
-    for part in textwrap.wrap(told, _WIDTH, subsequent_indent="  "):
-        terminal.write_line(part)
-
-
-#: A column's label, a category and what stands there.
-_TableCell = tuple[str, str, str]
-
-
-def _by_protocol(cells: Sequence[_TableCell]) -> dict[str, list[_TableCell]]:
-    """The cells of each protocol, whose name is taken off the labels."""
-    groups: dict[str, list[_TableCell]] = {}
-    for label, category, cell in cells:
-        protocol, own = split_label(label)
-        groups.setdefault(protocol, []).append((own, category, cell))
-    return groups
-
-
-def _tables(first: str, cells: Sequence[_TableCell]) -> Iterator[list[list[str]]]:
-    """Tables of (column, category, cell) with as many columns as are readable side by side."""
-    categories = list(dict.fromkeys(category for _, category, _ in cells))
-    names = max(map(len, [first, *categories]))
-    columns: dict[str, list[str]] = {}
-    for label, _, cell in cells:
-        columns.setdefault(label, [label]).append(cell)
-    table, width = [[first, *categories]], names
-    for column in columns.values():
-        widest = 2 + max(map(len, column))
-        if width + widest > _WIDTH and len(table) > 1:
-            yield [list(line) for line in zip(*table, strict=True)]
-            table, width = [[first, *categories]], names
-        table.append(column)
-        width += widest
-    if len(table) > 1:
-        yield [list(line) for line in zip(*table, strict=True)]
-
-
-def _cell(count: CountDocument | None) -> str:
-    if count is None:
-        return "n/a"
-    return f"{count['correct']}/{count['total']} {100 * count['correct'] / count['total']:5.1f} %"
-
-
-def _share(count: CountDocument | None) -> str:
-    return "n/a" if count is None else f"{100 * count['correct'] / count['total']:.1f} %"
-
-
-def _score(entry: ScoreDocument) -> str:
-    value = entry["measured"]
-    if value is None:
-        return "n/a"
-    return f"{100 * value:.1f} %" if entry["share"] else f"{value:.4g}"
+    _wrapped(terminal, told)
 
 
 def _sample_lines(samples: Sequence[SampleDocument]) -> list[list[str]]:
