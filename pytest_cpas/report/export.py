@@ -204,11 +204,11 @@ def _intervals(title: str, runs: Sequence[RunDocument]) -> Iterator[str]:
     """Per protocol the intervals of what is read over all categories: two lines a method."""
     entries: dict[str, dict[str, PrecisionDocument | ScoreDocument]] = {}
     for run in runs:
-        own: list[tuple[str, PrecisionDocument | ScoreDocument]] = [
+        read: list[tuple[str, PrecisionDocument | ScoreDocument]] = [
             *((entry["threshold"], entry) for entry in run["precision"]),
             *((score["score"], score) for score in run["scores"] if not score["guard"]),
         ]
-        for label, entry in own:
+        for label, entry in read:
             if entry["category"] == ALL and interval_messages(entry):
                 entries.setdefault(label, {})[run["method"]] = entry
     for protocol, labels in of_protocols(entries).items():
@@ -222,7 +222,7 @@ def _intervals(title: str, runs: Sequence[RunDocument]) -> Iterator[str]:
                 for kind, words in KINDS.items()
                 if any(
                     cells := [
-                        ends_of(entry, kind) if (entry := entries[label].get(run["method"])) else ""
+                        ends_of(own, kind) if (own := entries[label].get(run["method"])) else ""
                         for label in labels
                     ]
                 )

@@ -2,14 +2,17 @@
 
 import csv
 import io
+from dataclasses import astuple
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from report_schema import follow_schema
 from tables import CPAS, Fixed, a_row
 
 from pytest_cpas.golden import RunTable, compare_published
 from pytest_cpas.golden.published import PublishedCell
+from pytest_cpas.metrics import mean_interval, scene_mean_intervals, scene_median_interval
 from pytest_cpas.protocols import shipped_protocol
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.export import precision_csv, precision_tex, scores_csv
@@ -136,6 +139,24 @@ def test_what_there_is_by_scene_is_said_once(scenes, count, note):
     assert " ".join(" ".join(shown).split()).count("intervals at 95 %") == 1
     assert any(line.startswith("  by scene") for line in shown) is any(by_scene)
     assert max(map(len, shown)) <= 100
+
+
+@pytest.mark.parametrize("category", ["can", "mug", "all"])
+def test_cells_are_of_the_samples_of_their_category(category):
+    _, table = a_table(12, wrong=25)
+    names = [k for k, s in table.samples.items() if category in (s.category, "all")]
+    scenes = [table.scenes[name] for name in names]
+    facts = [table.samples[name].facts for name in names]
+    made = interval_table(table)[category]
+    right = np.array([[f["rotation_deg"] <= 10 and f["position_m"] <= 0.02] for f in facts])
+    assert [made["cpas.10deg_2cm"].scene] == scene_mean_intervals(right, scenes)
+    nad = [f["nad"] for f in facts]
+    assert made["cpas.nad_median"].scene == scene_median_interval(nad, scenes)
+    share = [max(0, 1 - f["rotation_deg"] / 5) * (1 - f["position_m"] / 0.05) for f in facts]
+    mean = made["omni6dpose.vus_5deg_5cm"]
+    assert (mean.sample.low, mean.sample.high) == pytest.approx(astuple(mean_interval(share)))
+    (by_scene,) = scene_mean_intervals(np.array(share)[:, None], scenes)
+    assert (mean.scene.low, mean.scene.high) == pytest.approx(astuple(by_scene))
 
 
 def test_rejudged_rows_know_their_scenes():

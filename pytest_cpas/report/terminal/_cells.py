@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from pytest_cpas.documents import CountDocument, PrecisionDocument, RunDocument, ScoreDocument
@@ -70,7 +70,13 @@ def guard_tables(run: RunDocument) -> Iterator[_Lines]:
         for cell in (*counted, *scored)
     )
     judged = {cell.category for cell in cells if cell.now != _UNKNOWN}
-    cells = [cell for cell in cells if cell.category in judged]
+    whole = judged >= {cell.category for cell in cells}
+    cells = [
+        # what was recorded over all categories is of others, if some were not judged
+        cell if whole or cell.category != ALL else replace(cell, recorded="", below={})
+        for cell in cells
+        if cell.category in judged
+    ]
     flipped = {
         (category, label)
         for flip in run["flips"]
