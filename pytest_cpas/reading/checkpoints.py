@@ -60,11 +60,15 @@ def read_tensors(path: Path) -> Any:
             raise
         except Exception as error:  # torch's unpickler takes the end of a torn file as it comes
             reason = str(error).strip().splitlines()
-            raise DataError(
-                f"{path} ({size} bytes) cannot be read as tensors alone: it is damaged, torn, a web"
-                " page, or it holds code, which is never run. Fetch it again"
-                f" ({type(error).__name__}: {reason[0] if reason else 'no reason given'})"
-            ) from error
+            told = f"{type(error).__name__}: {reason[0] if reason else 'no reason given'}"
+            raise DataError(_unreadable(f"{path}", size, told)) from error
+
+
+def _unreadable(where: str, size: int, reason: str) -> str:
+    return (
+        f"{where} ({size} bytes) cannot be read as tensors alone: it is damaged, torn, a web page,"
+        f" or it holds code, which is never run. Fetch it again ({reason})"
+    )
 
 
 def _tensors(content: Any, kind: type) -> Iterator[Any]:
@@ -84,7 +88,7 @@ def _check(path: Path, file: BinaryIO, size: int) -> None:
     """Raise :class:`DataError` for what would keep torch busy, or fill the memory."""
     if not zipfile.is_zipfile(file):
         file.seek(0)
-        _walk(f"{path}", file.read(_LARGEST_PICKLES), _OLD_PICKLES)
+        _walk(f"{path}", file.read(_LARGEST_PICKLES), _OLD_PICKLES, size)
         return
     with open_zip(f"{path}", file, _MOST_MEMBERS) as archive:
         infos = archive.infolist()
@@ -100,16 +104,14 @@ def _check(path: Path, file: BinaryIO, size: int) -> None:
                         f"{path}, {info.filename}: {info.file_size} bytes, at most"
                         f" {_LARGEST_PICKLES} are read"
                     )
-                _walk(f"{path}, {info.filename}", archive.read(info), 1)
+                _walk(f"{path}, {info.filename}", archive.read(info), 1, size)
 
 
-def _walk(where: str, content: bytes, count: int) -> None:
-    """Go through so many pickles, one after the other."""
+def _walk(where: str, content: bytes, count: int, size: int) -> None:
+    """Go through so many pickles, one after the other, of a file of ``size`` bytes."""
     at = 0
     try:
         for _ in range(count):
             at = walk(content, at)
     except DataError as error:
-        raise DataError(
-            f"{where}: {error}; a checkpoint of tensors alone was expected. Fetch it again"
-        ) from None
+        raise DataError(_unreadable(where, size, str(error))) from None
