@@ -267,9 +267,9 @@ def _scores(
                     "category": category,
                     "score": label(column),
                     "guard": column.guard,
-                    "measured": _short(score.value) if score else None,
+                    "measured": short(score.value) if score else None,
                     "intervals": intervals_document(intervals.get(category, {}).get(column.key)),
-                    "golden": _short(before.value) if before else None,
+                    "golden": short(before.value) if before else None,
                     "samples": score.samples if score else 0,
                     "better": column.better,
                     "share": not (isinstance(column, ScoreColumn) and column.median),
@@ -283,8 +283,8 @@ def _in_order(categories: Collection[str]) -> list[str]:
     return sorted(categories, key=lambda name: (name == ALL, name))
 
 
-def _short(value: float) -> float | None:
-    """For people; None if it is infinite."""
+def short(value: float) -> float | None:
+    """A number as a document has it for people; None if it is infinite."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
@@ -369,7 +369,7 @@ def _samples(
             for name, value in (judged.facts if judged else {}).items()
             if value is None or math.isfinite(value)
         }
-        shown = {name: None if value is None else _short(value) for name, value in facts.items()}
+        shown = {name: None if value is None else short(value) for name, value in facts.items()}
         samples.append(
             {
                 "sample": name,

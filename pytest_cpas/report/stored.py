@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, cast
@@ -10,11 +11,16 @@ from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.evaluation import MergedRun, Row, SampleError, merge
 from pytest_cpas.golden import RunTable
 from pytest_cpas.protocols import Protocol
+from pytest_cpas.reading.schemas import check_schema
 from pytest_cpas.reading.structured import read_json
+from pytest_cpas.report.consistency import check_consistency
 from pytest_cpas.report.document import FORMAT, run_document
 from pytest_cpas.report.rejudged import rejudged_run
 from pytest_cpas.report.tables import labels
-from pytest_cpas.types import DataError, ToldError
+from pytest_cpas.types import ContractError, DataError, ToldError, shown
+
+#: Largest file of a report, bytes: that of some hundred thousand samples.
+LARGEST = 2**27
 
 #: What of a sample has a character for each column.
 _OUTCOMES: tuple[Literal["outcome", "golden"], ...] = ("outcome", "golden")
@@ -30,28 +36,31 @@ class StoredReportError(ToldError):
 
 def read_report(path: Path) -> Document:
     """The document in a ``report.json``; :class:`StoredReportError` if it holds none."""
-    from jsonschema import Draft202012Validator  # slow to import
-    from jsonschema.exceptions import best_match
-
     try:
-        content = read_json(path, most=_MOST_PARTS)
+        content = read_json(path, limit=LARGEST, most=_MOST_PARTS)
     except DataError as error:
         raise StoredReportError(str(error)) from error
     if "format" not in content:
         raise StoredReportError(f"{path}: not a report; expected the report.json of --cpas-report")
     if content["format"] != FORMAT:
         raise StoredReportError(
-            f"{path}: format {content['format']}, this version reads {FORMAT}; write the report"
-            " anew from the results files"
+            f"{path}: format {shown(content['format'])}, this version reads {FORMAT}; write the"
+            " report anew from the results files"
         )
     schema = read_json(Path(__file__).with_name("schema.json"))
-    wrong = best_match(Draft202012Validator(schema).iter_errors(content))
-    if wrong is not None:
+    try:
+        check_schema(schema, content, "its JSON")
+        document = cast(Document, content)  # as the schema says
+        _check_columns(path, document)
+        check_consistency(document)
+    except ContractError as error:  # DataError is one
         raise StoredReportError(
-            f"{path}: --cpas-report of this version did not write it ({wrong.json_path}:"
-            f" {wrong.message[:200]})"
-        )
-    document = cast(Document, content)  # as the schema says
+            f"{path}: --cpas-report of this version did not write it ({error})"
+        ) from error
+    return document
+
+
+def _check_columns(path: Path, document: Document) -> None:
     columns = [*document["thresholds"], *document["guards"]]
     for run in document["runs"]:
         own = [*labels(run["precision"]), *labels(run["guards"])]
@@ -61,7 +70,6 @@ def read_report(path: Path) -> Document:
                 f"{path}: the columns of {run['method']} on {run['dataset']} are not those that it"
                 f" says it was judged in: {'; '.join(columns)}"
             )
-    return document
 
 
 def read_runs(
@@ -80,9 +88,9 @@ def read_runs(
     if protocols is not None:
         runs = [rejudged_run(run, protocols) for run in runs]
     runs += [_judged(run) for run in merge(results, allow_gaps=True, protocols=protocols)]
-    names = [(run["method"], run["dataset"]) for run in runs]
-    for method, dataset in names:
-        if names.count((method, dataset)) > 1:
+    names = Counter((run["method"], run["dataset"]) for run in runs)
+    for (method, dataset), count in names.items():
+        if count > 1:
             raise StoredReportError(f"{method} on {dataset} is in these files more than once")
     return runs
 

@@ -123,6 +123,28 @@ def tokens(content: bytes, dice: random.Random) -> bytes:
     return content
 
 
+LEAVES = (
+    *(None, True, False, 0, -1, 0.5, 2, 10**15, 10**400, 1e308, -1e308, 1e999, -1e999),
+    *("", "all", "x", "1" * 99, [], {}, [None], {"a": 1}, [[]] * 9999),
+)
+
+
+def leaf(content: bytes, dice: random.Random) -> bytes:
+    """Another value at a place of a JSON text, at any level; it stays JSON, but for infinity."""
+    try:
+        value = json.loads(content)
+    except ValueError:  # damaged before
+        return content
+    place, key = None, None
+    here = value
+    while isinstance(here, dict | list) and here and (place is None or dice.random() < 0.85):
+        place, key = here, dice.choice(list(here) if isinstance(here, dict) else range(len(here)))
+        here = here[key]
+    if place is not None:
+        place[key] = dice.choice(LEAVES)
+    return json.dumps(value).replace("Infinity", "1e999").encode()
+
+
 def lines(content: bytes, dice: random.Random) -> bytes:
     """Lines are left out, exchanged, or there twice."""
     parts = content.split(b"\n")
@@ -444,6 +466,35 @@ def a_table() -> Any:
     return RunTable.of(run, rows)
 
 
+def a_report() -> bytes:
+    """A report of the run of that table."""
+    from types import SimpleNamespace
+
+    from pytest_cpas.report.document import document, run_document
+
+    table = a_table()
+    run: Any = SimpleNamespace(
+        method="m", dataset="d", missing=[], damaged=[], identity=table.identity, seeds=3,
+        definitions=table.definitions, provenance=table.provenance, listed=table.listed,
+        samples=[],
+    )  # fmt: skip
+    made = document([run_document(run, table, golden=table)], 0, table.protocols)
+    return json.dumps(made).encode()
+
+
+def reported(path: Path) -> None:
+    """A report that is read, written anew, and judged under another protocol."""
+    from pytest_cpas.protocols import shipped_protocol
+    from pytest_cpas.report.files import write_report
+    from pytest_cpas.report.rejudged import rejudged
+    from pytest_cpas.report.stored import read_report
+
+    document = read_report(path)
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        for content in (document, rejudged(document, [shipped_protocol("omni6dpose")])):
+            write_report(content, Path(folder), {})
+
+
 def older_goldens() -> list[bytes]:
     texts = older_texts(a_table())
     return [texts["table.toml"].encode() + SEPARATOR + texts["samples.csv"].encode()]
@@ -618,8 +669,9 @@ READERS: dict[str, Reader] = {
                     mutations=TEXT),
     "speed": Reader(of("pytest_cpas.timing.records", "read_record"), lambda: [SPEED],
                     mutations=TEXT),
-    "report": Reader(of("pytest_cpas.report.stored", "read_report"),
-                     lambda: [b'{"format": 5, "runs": []}', JSON], mutations=TEXT),
+    "report": Reader(reported, lambda: [a_report(), b'{"format": 2, "runs": []}', JSON], ".json",
+                     mutations=(leaf, leaf, leaf, *TEXT),
+                     covers=("schemas.check_schema",)),
 }  # fmt: skip
 
 # -- running ------------------------------------------------------------------------------------
