@@ -60,11 +60,16 @@ class Fact:
         """Of a sample without an answer: it meets no limit."""
         return -math.inf if self.better == "higher" else math.inf
 
+    @property
+    def finest(self) -> float:
+        """What nobody looks at: a micrometre, 1e-4 degrees, 1e-3 pixels, 1e-5 of what has no
+        unit."""
+        return {"m": 1e-6, "deg": 1e-4, "px": 1e-3, "": 1e-5}[self.unit]
+
     def is_close(self, one: float, other: float) -> bool:
-        """Whether two values differ by no more than :data:`SAME` of themselves, or by what nobody
-        looks at: a micrometre, 1e-4 degrees, 1e-3 pixels, 1e-5 of what has no unit."""
-        finest = {"m": 1e-6, "deg": 1e-4, "px": 1e-3, "": 1e-5}[self.unit]
-        return math.isclose(one, other, rel_tol=SAME, abs_tol=finest)
+        """Whether two values differ by no more than :data:`SAME` of themselves, or by
+        :attr:`finest`."""
+        return math.isclose(one, other, rel_tol=SAME, abs_tol=self.finest)
 
     @property
     def most(self) -> float:

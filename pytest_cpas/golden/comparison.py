@@ -19,10 +19,17 @@ from numpy.typing import NDArray
 
 from pytest_cpas.golden.exact import Exact, to_record
 from pytest_cpas.golden.jitter import answers_of, loss_words, luckiest
-from pytest_cpas.golden.pairing import Pairing, SharedColumn, first_few, shared_columns
+from pytest_cpas.golden.pairing import (
+    Pairing,
+    SharedColumn,
+    first_few,
+    mean_the_same,
+    shared_columns,
+)
 from pytest_cpas.golden.spread import ALARM, DOUBT, Spread
 from pytest_cpas.golden.tables import RunTable, differences
 from pytest_cpas.golden.words import Word
+from pytest_cpas.protocols import CountColumn
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.samples import ALL, COMPLETENESS
 
@@ -68,7 +75,7 @@ def compare(
     columns = shared_columns(golden, new)
     pairings = [Pairing.of(golden, new, category) for category in categories]
     notes = {category: _notes(golden, new, category) for category in categories}
-    others = _other_columns(golden, new, columns)
+    others = _other_columns(golden, new)
     if not any(sample.wavers for sample in golden.samples.values()):
         exact = Exact(golden, new, columns, alarm / (2 * (len(categories) + 1)))
         verdicts = [exact.verdict(p, notes[p.category]) for p in pairings]
@@ -95,15 +102,17 @@ def _notes(golden: RunTable, new: RunTable, category: str) -> list[str]:
     return [f"note: {line}" for line in differences(told, now)]
 
 
-def _other_columns(
-    golden: RunTable, new: RunTable, shared: Sequence[SharedColumn]
-) -> list[Verdict]:
-    """Columns of one table that cannot be judged against the other: what was redefined is stale,
-    what only one has is not checked."""
-    same = {column.column.key for column in shared}
-    old, now = ([c.key for c in table.columns if c.key not in same] for table in (golden, new))
+def _other_columns(golden: RunTable, new: RunTable) -> list[Verdict]:
+    """Columns, of all kinds, of one table that cannot be judged against the other: what was
+    redefined is stale, what only one has is not checked."""
+    old, now = (
+        {column.key: column for protocol in table.protocols for column in protocol.columns}
+        for table in (golden, new)
+    )
     verdicts = []
-    if stale := [key for key in old if key in now]:
+    if stale := [
+        key for key in old if key in now and not mean_the_same(golden, new, old[key], now[key])
+    ]:
         told = (
             f"{', '.join(stale)}: defined otherwise when the golden table was recorded. Record it"
             " anew with --snapshot-update"
@@ -118,6 +127,8 @@ def _other_columns(
     then, here = ([protocol.name for protocol in table.protocols] for table in (golden, new))
     gone = [key for key in old if key not in now and key.partition(".")[0] in here]
     new_columns = [key for key in now if key not in old and key.partition(".")[0] in then]
+    if golden.outdated:  # that its form knew nothing but counts has been told
+        new_columns = [key for key in new_columns if isinstance(now[key], CountColumn)]
     for keys, where in ((gone, "the golden table alone has"), (new_columns, "this run alone has")):
         if keys:
             told = (
@@ -173,6 +184,14 @@ class _Spread:
                 told[word] += self._moved(pairing, index, worse)
             elif better < self.alarm:
                 told[Word.IMPROVED] += self._moved(pairing, index, better)
+        for name in self.spread.answers.facts:
+            worse = self.spread.p(scope, name)
+            better = self.spread.p(scope, name, better=True)
+            if worse < max(DOUBT, self.alarm):
+                word = Word.REGRESSED if worse < self.alarm else Word.PROBABLY_WORSE
+                told[word].append(self._drifted(pairing, name, worse))
+            elif better < self.alarm:
+                told[Word.IMPROVED].append(self._drifted(pairing, name, better))
         told[Word.CHANGED] += pairing.other_samples
         lines = [line for group in told.values() for line in group]
         words = [word for word, group in told.items() if group]
@@ -216,12 +235,18 @@ class _Spread:
             *self._evidence(pairing, index),
         ]
 
+    def _drifted(self, pairing: Pairing, name: str, p: float) -> str:
+        """How a fact moved, and how improbable its ranks are among those of the recorded seeds."""
+        answers = self.spread.answers
+        told = answers.facts[name].told(answers.names, answers.among(pairing.category))
+        return f"{told} ({self.seeds} recorded seeds; p = {p:.1g})"
+
     def _evidence(self, pairing: Pairing, index: int) -> list[str]:
         """The samples whose share of seeds that are correct moved most, down and up."""
         answers = self.spread.answers
-        known = answers.known[answers.among(pairing.category), index]
+        known = answers.known[:, index] & answers.among(pairing.category)
         recorded, run = answers.of(pairing.category, index)
-        names = [name for name, there in zip(pairing.both, known, strict=True) if there]
+        names = [answers.names[i] for i in np.flatnonzero(known).tolist()]
         moved = run.mean(axis=1) - recorded.mean(axis=1)
 
         def told(i: int) -> str:

@@ -12,7 +12,7 @@ from scipy.special import bdtr
 
 from pytest_cpas.facts import SAME
 from pytest_cpas.golden.drift import Drift, drifts, may_not_move
-from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn
+from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn, shared_facts
 from pytest_cpas.golden.rankings import ranking_changes
 from pytest_cpas.golden.tables import RunTable
 from pytest_cpas.golden.words import Word
@@ -108,9 +108,7 @@ class Exact:
 
     @property
     def _facts(self) -> Sequence[str]:
-        """What both tables know of samples, under one definition."""
-        then, now = self.golden.definitions, self.new.definitions
-        return [name for name in self.new.facts if then.get(name) == now.get(name) is not None]
+        return shared_facts(self.golden, self.new)
 
     def _drifted(
         self, pairing: Pairing, moved: Sequence[Drift], notes: Sequence[str]

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.golden.pairing import SharedColumn, shared_columns
+from pytest_cpas.facts import fact
+from pytest_cpas.golden.pairing import SharedColumn, shared_columns, shared_facts
+from pytest_cpas.golden.ranks import Moves
 from pytest_cpas.golden.spread import DOUBT, Answers, Spread
 from pytest_cpas.golden.tables import RunTable
 
@@ -35,7 +37,8 @@ def parse_alarm(text: str) -> float:
 
 
 def answers_of(golden: RunTable, run: RunTable, columns: Sequence[SharedColumn]) -> Answers:
-    """The samples that both tables have, under all seeds of both, at some columns."""
+    """The samples that both tables have, under all seeds of both: at some columns, and the facts
+    of both."""
     both = [
         name
         for name, sample in sorted(run.samples.items())
@@ -43,11 +46,18 @@ def answers_of(golden: RunTable, run: RunTable, columns: Sequence[SharedColumn])
     ]
     recorded = _outcomes(golden, both)[..., [column.old for column in columns]]
     new = _outcomes(run, both)[..., [column.new for column in columns]]
+    facts = {
+        name: Moves(fact(name), _values(golden, both, name), _values(run, both, name))
+        for name in shared_facts(golden, run)
+        if all(map(_knows_all_seeds, (golden, run)))
+    }
     return Answers(
         categories=np.array([golden.samples[name].category for name in both], dtype=str),
         recorded=recorded == b"1",
         run=new == b"1",
         known=(recorded != b"-").all(axis=1) & (new != b"-").all(axis=1),
+        facts=facts,
+        names=both,
     )
 
 
@@ -55,6 +65,17 @@ def _outcomes(table: RunTable, names: list[str]) -> NDArray[np.bytes_]:
     """One character per sample, seed and column."""
     text = "".join(outcome for name in names for outcome in table.samples[name].outcomes)
     return np.frombuffer(text.encode(), "S1").reshape(len(names), table.seeds, len(table.columns))
+
+
+def _knows_all_seeds(table: RunTable) -> bool:
+    """Whether it has the facts of every seed: older forms kept those of the first alone."""
+    return all(len(sample.answers) == table.seeds for sample in table.samples.values())
+
+
+def _values(table: RunTable, names: list[str], name: str) -> NDArray[np.float64]:
+    """A fact per sample and seed, NaN where it is n/a."""
+    values = [[a.facts.get(name) for a in table.samples[each].answers] for each in names]
+    return np.array(values, dtype=np.float64).reshape(len(names), table.seeds)
 
 
 def loss_words(lucky: Spread, columns: Sequence[SharedColumn], scope: str, alarm: float) -> str:
@@ -73,10 +94,12 @@ def loss_words(lucky: Spread, columns: Sequence[SharedColumn], scope: str, alarm
 
 
 def luckiest(answers: Answers) -> Spread:
-    """As if the run had been the recorded seed that got most right, which must lose most."""
+    """As if the run had been the recorded seed that got most right, which must lose most; without
+    facts, since it is told of counts."""
     best = np.argsort(-(answers.recorded & answers.known[:, None]).sum(axis=(0, 2)), kind="stable")
     drawn = answers.run.shape[1]
-    return Spread(replace(answers, run=answers.recorded[:, np.resize(best, drawn)]))
+    run = answers.recorded[:, np.resize(best, drawn)]
+    return Spread(replace(answers, run=run, facts={}))
 
 
 def recorded_words(table: RunTable, alarm: float) -> Iterator[str]:

@@ -11,7 +11,15 @@ from pytest_cpas.golden.tables import RunTable, TableSample
 from pytest_cpas.protocols import Column, CountColumn
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["Flips", "Pairing", "SharedColumn", "first_few", "mean_the_same", "shared_columns"]
+__all__ = [
+    "Flips",
+    "Pairing",
+    "SharedColumn",
+    "first_few",
+    "mean_the_same",
+    "shared_columns",
+    "shared_facts",
+]
 
 _T = TypeVar("_T")
 
@@ -47,6 +55,12 @@ def shared_columns(golden: RunTable, new: RunTable) -> list[SharedColumn]:
         for index, column in enumerate(new.columns)
         if column.key in old and mean_the_same(golden, new, old[column.key][1], column)
     ]
+
+
+def shared_facts(golden: RunTable, new: RunTable) -> list[str]:
+    """What both tables know of samples, under one definition."""
+    then, now = golden.definitions, new.definitions
+    return [name for name in new.facts if then.get(name) == now.get(name) is not None]
 
 
 def mean_the_same(golden: RunTable, new: RunTable, then: Column, now: Column) -> bool:

@@ -7,21 +7,20 @@ Nothing need be known of how hard a sample is. For K = J = 1 this is McNemar's e
 **A category, or all samples, at one threshold.** What the run loses of a sample counts by how
 surprising it is: the negative logarithm of the probability that a draw loses as much, which for one
 answer is the share of all K + 1 that are lost. The sum over samples (Fisher's way to combine tests)
-is the statistic, and its distribution over all draws is exact (a convolution). So a loss of samples
-that every recorded seed gets right is not hidden by samples that come and go.
+is the statistic, and its distribution over all draws is exact (:mod:`pytest_cpas.golden.exchange`,
+which also says what is made of seeds that move many samples at once). So a loss of samples that
+every recorded seed gets right is not hidden by samples that come and go.
 
-**Seeds that move many samples at once.** The draws take samples for independent. A seed may also
-make many of them harder together; how much is judged from how the recorded totals vary. It adds to
-the log odds of a sample a normal deviate whose standard deviation is 0, which is taken for
-:data:`_INDEPENDENT` probable, or one of :data:`_SHIFTS`; the distribution is the mean of those
-under each of them, weighted by how well they explain the recorded totals (of all samples for all
-together, of every category for a category).
+**Facts** are judged by their ranks (:mod:`pytest_cpas.golden.ranks`), so that what moved without
+crossing a threshold is seen as well.
 
-**A run.** There are many such questions: every category and all samples, every threshold, fewer or
-more. The probability that is told of an answer is that for the whole run: the sum, over all
-questions, of the probability of an answer at least as improbable as this one. (The union bound;
-questions that are the same are asked once, and a question of so few samples that no answer to it
-could be as improbable adds nothing.)
+**A run.** There are many such questions: every category and all samples, every threshold and fact,
+worse or better. The level of a run is shared among the four kinds (:data:`_SHARES`), and among the
+questions of a kind equally: losses have most of it, since a gain that is overlooked costs little.
+The probability that is told of an answer is that for the whole run: the sum, over all questions, of
+the probability of an answer that is at least as improbable for its share as this one. (The union
+bound; questions that are the same are asked once, and a question of so few samples that no answer
+to it could be as improbable adds nothing.)
 """
 
 from __future__ import annotations
@@ -30,16 +29,28 @@ import bisect
 import functools
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.golden.exchange import (
+    NOTHING,
+    ROUNDING,
+    Array,
+    Draw,
+    Question,
+    Shifts,
+    question,
+)
+from pytest_cpas.golden.ranks import SHIFTS, Bound, Moves, bounds
 from pytest_cpas.types.samples import ALL
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+_Asked: TypeAlias = Question | Bound
 
 #: The probability with which a run without any change is called REGRESSED or IMPROVED.
 ALARM = 1e-3
@@ -47,26 +58,22 @@ ALARM = 1e-3
 #: A run that is this improbable without a change, but not as improbable as ``ALARM``, is doubtful.
 DOUBT = 0.05
 
-#: Standard deviations of what a seed adds to the log odds of all samples together.
-_SHIFTS = (0.25, 0.5, 1.0)
+#: Shares of the level, by whether a fact is asked about (or a count), and whether it got better.
+_SHARES: Mapping[tuple[bool, bool], float] = {
+    (False, False): 0.6,
+    (False, True): 0.1,
+    (True, False): 0.25,
+    (True, True): 0.05,
+}
 
-#: How probable it is, before the totals are looked at, that seeds do not move samples together.
-_INDEPENDENT = 0.95
+_OF_FACTS = sum(share for (of_fact, _), share in _SHARES.items() if of_fact)
+
+#: Standard deviations of what a seed adds to the log odds of all samples together.
+_SHIFTS = Shifts((0.25, 0.5, 1.0))
 
 #: Surprise is counted in whole numbers of a fraction of the natural logarithm: the finest for which
 #: the sum over all samples stays near this.
 _FINEST, _LONGEST = 4, 4096
-
-#: Transforms up to this length are kept.
-_CACHED = 1024
-
-#: Relative error of the transforms, and the least probability that they can tell from none.
-_ROUNDING, _LEAST = 1e-6, 1e-14
-
-#: Nodes of the Gauss-Hermite rule for the shift of a seed, and their weights.
-_NODES, _NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
-
-_SHIFT = np.concatenate([[0.0], *(size * _NODES for size in _SHIFTS)])
 
 
 @dataclass(frozen=True)
@@ -74,13 +81,16 @@ class Answers:
     """What the recorded seeds and the run say of the same n samples at T thresholds.
 
     ``categories`` (n,) names; ``recorded`` (n, K, T) and ``run`` (n, J, T): whether a sample is
-    correct under a seed; ``known`` (n, T): whether it can be judged at all.
+    correct under a seed; ``known`` (n, T): whether it can be judged at all. ``facts``: by name,
+    what both know of them; ``names`` of the samples.
     """
 
     categories: NDArray[np.str_]
     recorded: Flags
     run: Flags
     known: Flags
+    facts: Mapping[str, Moves] = field(default_factory=dict)
+    names: Sequence[str] = ()
 
     @property
     def scopes(self) -> list[str]:
@@ -98,75 +108,91 @@ class Answers:
         return self.recorded[among, :, column], self.run[among, :, column]
 
 
-@dataclass(frozen=True, eq=False)
-class _Question:
-    """Whether the run has improbably few correct (or, asked of the opposite, many).
-
-    ``tail`` descends: entry t is the probability of a statistic of at least t. ``p`` is that of
-    the run's own.
-    """
-
-    tail: Array
-    p: float
-
-    def attained(self, p: float) -> float:
-        """The probability of an answer that is as improbable as ``p``, or more."""
-        first = int(np.searchsorted(-self.tail, -p * (1 + _ROUNDING)))
-        return float(self.tail[first]) if first < len(self.tail) else 0.0
-
-
 class Spread:
-    """The run's answers against those of the recorded seeds."""
+    """The run's answers, and their facts, against those of the recorded seeds."""
 
     def __init__(self, answers: Answers) -> None:
         """Ask all questions."""
         self.answers = answers
         self._together = _shifts(answers, [ALL])
         self._apart = _shifts(answers, answers.scopes[:-1])
-        self._asked: dict[tuple[str, int, bool], _Question] = {}
-        for scope in answers.scopes:
-            for column in range(answers.known.shape[1]):
-                twin = self._twin(scope, column)
-                for better in (False, True):
-                    self._asked[scope, column, better] = (
-                        self._asked[*twin, better]
-                        if twin
-                        else self._ask(scope, *answers.of(scope, column), better)
-                    )
+        self._of_facts = {
+            (name, together): _fact_shifts(answers, name, scopes)
+            for name in answers.facts
+            for together, scopes in ((True, [ALL]), (False, answers.scopes[:-1]))
+        }
+        self._asked: dict[tuple[str, int | str, bool], _Asked] = {}
+        once: dict[tuple[str | bytes, ...], tuple[_Asked, _Asked]] = {}
+        everything = [*range(answers.known.shape[1]), *answers.facts]
+        for scope, asked in itertools.product(answers.scopes, everything):
+            same = self._content(scope, asked)
+            if same not in once:
+                once[same] = self._both(scope, asked)
+            self._asked[scope, asked, False], self._asked[scope, asked, True] = once[same]
 
-    def _twin(self, scope: str, column: int) -> tuple[str, int] | None:
-        """An earlier question that is the same, whatever the run had answered."""
+    def _content(self, scope: str, asked: int | str) -> tuple[str | bytes, ...]:
+        """What is the same of questions that are, whatever the run had answered."""
         if scope == ALL and len(self.answers.scopes) == 2:
-            return self.answers.scopes[0], column
+            scope = self.answers.scopes[0]
         among = self.answers.among(scope)
-        fields = (self.answers.known, self.answers.recorded, self.answers.run)
-        own, *earlier = (
-            [field[among][..., other] for field in fields] for other in (column, *range(column))
-        )
-        for other, content in enumerate(earlier):
-            if all(map(np.array_equal, own, content)):
-                return scope, other
-        return None
+        if isinstance(asked, str):
+            moves = self.answers.facts[asked]
+            return scope, "", moves.known[among].tobytes(), moves.ranks[among].tobytes()
+        known = self.answers.known[:, asked]
+        recorded, run = self.answers.of(scope, asked)
+        return scope, known[among].tobytes(), recorded.tobytes(), run.tobytes()
 
-    def _ask(self, scope: str, recorded: Flags, run: Flags, better: bool) -> _Question:
-        shifts = self._together if scope == ALL else self._apart
-        return _ask(recorded ^ better, run ^ better, shifts)
+    def _both(self, scope: str, asked: int | str) -> tuple[_Asked, _Asked]:
+        """Whether something got worse, and better."""
+        if isinstance(asked, int):
+            recorded, run = self.answers.of(scope, asked)
+            return self._ask(scope, recorded, run), self._ask(scope, ~recorded, ~run)
+        moves = self.answers.facts[asked]
+        posterior = self._of_facts[asked, scope == ALL]
+        return bounds(moves, self.answers.among(scope), posterior) or (NOTHING, NOTHING)
 
-    def p(self, scope: str, column: int, *, better: bool = False) -> float:
-        """How probable anything so improbable is in a whole run without a change."""
-        asked = self._asked.get((scope, column, better))
+    def _ask(self, scope: str, recorded: Flags, run: Flags) -> Question:
+        """Are there improbably few correct?"""
+        return _ask(recorded, run, self._together if scope == ALL else self._apart)
+
+    def p(self, scope: str, asked: int | str, *, better: bool = False) -> float:
+        """How probable anything so improbable is in a whole run without a change.
+
+        ``asked``: the index of a threshold, or the name of a fact.
+        """
+        key = scope, asked, better
         # of a scope of which nothing was judged there is nothing to see
-        return min(1.0, self._of_run(asked.p)) if asked else 1.0
+        own = self._asked.get(key, NOTHING)
+        return 1.0 if own is NOTHING else min(1.0, self._of_run(own.p / self._share(key)))
+
+    def _share(self, key: tuple[str, int | str, bool]) -> float:
+        """Of the level of the run, what a question has."""
+        kind = _kind(key)
+        return _SHARES[kind] / self._counts[kind]
 
     @functools.cached_property
-    def _distinct(self) -> list[tuple[str, _Question]]:
-        """Every question once, with its scope."""
-        scopes = {question: scope for (scope, *_), question in self._asked.items()}
-        return [(scope, question) for question, scope in scopes.items()]
+    def _distinct(self) -> dict[_Asked, tuple[str, int | str, bool]]:
+        """Every question that asks something once: its scope, about what, and whether better."""
+        asked = {each: key for key, each in self._asked.items()}
+        asked.pop(NOTHING, None)
+        return asked
 
-    def _of_run(self, p: float, but: Sequence[str] = ()) -> float:
-        """The sum over all questions; those on a scope of ``but`` count as if all attained p."""
-        return sum(p if scope in but else asked.attained(p) for scope, asked in self._distinct)
+    @functools.cached_property
+    def _counts(self) -> Mapping[tuple[bool, bool], int]:
+        """How many questions there are of each kind."""
+        return Counter(map(_kind, self._distinct.values()))
+
+    def _of_run(self, level: float, but: Sequence[str] = ()) -> float:
+        """The sum over all questions of the probability of an answer that is below its share of
+        ``level``, or 1; those on a scope of ``but``, and on facts that are not there, count as if
+        all attained it."""
+        total = 0.0 if self.answers.facts else _OF_FACTS * level
+        for asked, key in self._distinct.items():
+            p = self._share(key) * level
+            total += p if key[0] in but else asked.attained(p)
+            if total >= 1:
+                break
+        return total
 
     def loss_shown(self, scope: str, level: float) -> tuple[int, int] | None:
         """How many samples of a scope must be lost for the run to be below ``level``.
@@ -192,120 +218,106 @@ class Spread:
         def shows(loss: int) -> bool:
             lost = run.copy()
             lost[surest[:loss]] = False
-            return self._ask(asked, recorded, lost, False).p < p
+            return self._ask(asked, recorded, lost).p < p
 
         if not len(surest) or not shows(len(surest)):
             return None
         return 1 + bisect.bisect_left(range(1, len(surest)), True, key=shows)
 
     def _critical(self, level: float, own: Sequence[str]) -> float:
-        """A p that is below ``level`` for the run, whatever the questions on ``own`` become."""
-        low, high = level / len(self._asked), level
-        for _ in range(20):
+        """A p of a loss that is below ``level`` for the run, whatever the questions on ``own``
+        become."""
+        low, high = level, level * len(self._asked) / min(_SHARES.values())
+        for _ in range(30):
             middle = math.sqrt(low * high)
             low, high = (middle, high) if self._of_run(middle, own) < level else (low, middle)
-        return low
+        # those on its own scopes may come to differ, where they are the same now or ask nothing
+        of_loss = [key for key in self._asked if _kind(key) == (False, False)]
+        kept = sum(key[0] in own or key in self._distinct.values() for key in of_loss)
+        return low * _SHARES[False, False] / max(kept, 1)
 
 
-def _ask(recorded: Flags, run: Flags, shifts: Array) -> _Question:
-    """Are there improbably few correct? (n, K) and (n, J); ``shifts`` as of :func:`_shifts`."""
+def _kind(key: tuple[str, int | str, bool]) -> tuple[bool, bool]:
+    """Whether a question is about a fact, and whether that got better."""
+    _, asked, better = key
+    return isinstance(asked, str), better
+
+
+def _ask(recorded: Flags, run: Flags, posterior: Array) -> Question:
+    """Are there improbably few correct? (n, K) and (n, J); ``posterior`` as of :func:`_shifts`."""
     drawn = run.shape[1]
     total = recorded.shape[1] + drawn
     lost = drawn - run.sum(axis=1)
     wrong = lost + recorded.shape[1] - recorded.sum(axis=1)
     # nothing is open about samples on which all agree
     counts = {n: c for n, c in enumerate(np.bincount(wrong).tolist()) if c and 0 < n < total}
-    most = sum(c * _draws(total, n, drawn)[1][-1] for n, c in counts.items())
     if not counts:
-        return _Question(np.ones(1), 1.0)
+        return NOTHING
+    most = sum(c * _surprise(total, n, drawn)[-1] for n, c in counts.items())
     unit = min(_FINEST, _LONGEST / most)
-    points = {n: _points(total, n, drawn, unit) for n in counts}
-    tail = _tail(total, drawn, counts, points, shifts)
+    draws = {n: _draw(total, n, drawn, unit) for n in counts}
     seen = sum(
-        points[n][k] for n, k in zip(wrong.tolist(), lost.tolist(), strict=True) if n in points
+        draws[n].points[k] for n, k in zip(wrong.tolist(), lost.tolist(), strict=True) if n in draws
     )
-    return _Question(tail, float(tail[seen]))
+    # between the means of the run's seeds and of the recorded ones
+    scale = math.sqrt(1 / drawn + 1 / (total - drawn))
+    alike: Counter[Draw] = Counter()
+    for n, count in counts.items():
+        alike[draws[n]] += count
+    return question(alike, seen, scale, _SHIFTS, posterior)
 
 
 @functools.lru_cache(maxsize=4096)
-def _draws(total: int, wrong: int, drawn: int) -> tuple[Array, Array]:
-    """How probable it is that 0, 1, ... of ``wrong`` answers are among those drawn of ``total``;
-    and the surprise at so many or more: the negative logarithm of its probability."""
+def _surprise(total: int, wrong: int, drawn: int) -> Array:
+    """How surprising it is that 0, 1, ... or more of ``wrong`` answers are among those drawn of
+    ``total``: the negative logarithm of its probability."""
     from scipy import stats  # slow to import, and most tables are of one seed
 
-    lost = np.arange(min(wrong, drawn) + 1)
-    at_least = stats.hypergeom.sf(lost - 1, total, wrong, drawn)
-    return stats.hypergeom.pmf(lost, total, wrong, drawn), -np.log(np.minimum(at_least, 1))
+    at_least = stats.hypergeom.sf(_lost(wrong, drawn) - 1, total, wrong, drawn)
+    surprise: Array = -np.log(np.minimum(at_least, 1))
+    return surprise
 
 
-def _points(total: int, wrong: int, drawn: int, unit: float) -> tuple[int, ...]:
-    """The surprise in whole numbers of 1 / ``unit``, none of them lost to rounding."""
-    surprise = _draws(total, wrong, drawn)[1]
-    points = np.where(surprise > _ROUNDING, np.maximum(1, np.round(unit * surprise)), 0)
-    return tuple(points.astype(int).tolist())
+@functools.lru_cache(maxsize=4096)
+def _draw(total: int, wrong: int, drawn: int, unit: float) -> Draw:
+    """The surprise in whole numbers of 1 / ``unit``, none of it lost to rounding."""
+    from scipy import stats
+
+    surprise, lost = _surprise(total, wrong, drawn), _lost(wrong, drawn)
+    points = np.where(surprise > ROUNDING, np.maximum(1, np.round(unit * surprise)), 0)
+    chance = stats.hypergeom.pmf(lost, total, wrong, drawn)
+    return Draw(
+        *(tuple(each.tolist()) for each in (points.astype(int), chance, lost.astype(float)))
+    )
 
 
-def _tail(
-    total: int,
-    drawn: int,
-    counts: Mapping[int, int],
-    points: Mapping[int, tuple[int, ...]],
-    shifts: Array,
-) -> Array:
-    """The probabilities of at least 0, 1, ... points in all.
-
-    ``counts``: how many samples were lost so often in all; ``points``: what each is worth.
-    """
-    top = sum(count * points[wrong][-1] for wrong, count in counts.items())
-    length = 1 << top.bit_length()
-    log_size, angle = np.zeros((2, len(shifts), length // 2 + 1))
-    make = _factor if length <= _CACHED else _factor.__wrapped__
-    for wrong, count in counts.items():
-        factor = make(total, wrong, drawn, points[wrong], length)
-        log_size += count * factor[0]
-        angle += count * factor[1]
-    size = np.exp(log_size)
-    transform = shifts @ (size * np.cos(angle)) + 1j * (shifts @ (size * np.sin(angle)))
-    probability = np.maximum(np.fft.irfft(transform, n=length)[: top + 1], 0)
-    tail: Array = np.clip(np.cumsum(probability[::-1])[::-1], _LEAST, 1)
-    return tail
-
-
-@functools.lru_cache(maxsize=512)
-def _factor(
-    total: int, wrong: int, drawn: int, points: tuple[int, ...], length: int
-) -> tuple[Array, Array]:
-    """Of the Fourier transform of one sample's points, under every shift: log of size, angle."""
-    # between the means of the run's seeds and of the recorded ones
-    shift = _SHIFT * np.sqrt(1 / drawn + 1 / (total - drawn))
-    chance = _draws(total, wrong, drawn)[0] * np.exp(np.outer(shift, np.arange(len(points))))
-    chance /= chance.sum(axis=1, keepdims=True)
-    waves = np.exp(-2j * np.pi / length * np.outer(points, np.arange(length // 2 + 1)))
-    transform = chance @ waves
-    with np.errstate(divide="ignore"):
-        return np.log(np.abs(transform)), np.angle(transform)
+def _lost(wrong: int, drawn: int) -> NDArray[np.int64]:
+    return np.arange(min(wrong, drawn) + 1)
 
 
 def _shifts(answers: Answers, scopes: Sequence[str]) -> Array:
-    """The probability of each of :data:`_SHIFT`, as the recorded totals of ``scopes`` tell.
+    """The probability of each size of a shift, as the recorded totals of ``scopes`` tell.
 
-    Without shifts, the squared deviations of K totals have K - 1 degrees of freedom and the
-    variance that independent samples have; with shifts it is larger. Thresholds are much alike:
-    their logarithms are averaged.
+    Thresholds are much alike: their logarithms are averaged.
     """
     seeds, columns = answers.recorded.shape[1:]
-    sizes = np.array([0.0, *_SHIFTS])
-    log = np.zeros(len(sizes))
+    log = np.zeros(1 + len(_SHIFTS.sizes))
     for scope, column in itertools.product(scopes, range(columns)):
         recorded, _ = answers.of(scope, column)
         independent = float(recorded.var(axis=1).sum()) * seeds / max(seeds - 1, 1)
         if independent:
-            excess = 1 + sizes**2 * independent
-            totals = recorded.sum(axis=0)
-            squares = float(((totals - totals.mean()) ** 2).sum()) / independent
-            log -= ((seeds - 1) * np.log(excess) + squares / excess) / 2 / columns
-    prior = np.array([_INDEPENDENT, *[(1 - _INDEPENDENT) / len(_SHIFTS)] * len(_SHIFTS)])
-    posterior = prior * np.exp(log - log.max())
-    posterior /= posterior.sum()
-    nodes = _NODE_WEIGHTS / _NODE_WEIGHTS.sum()
-    return np.concatenate([posterior[:1], np.outer(posterior[1:], nodes).ravel()])
+            log += _SHIFTS.log_likelihood(recorded.sum(axis=0), independent) / columns
+    return _SHIFTS.posterior(log)
+
+
+def _fact_shifts(answers: Answers, name: str, scopes: Iterable[str]) -> Array:
+    """The same of a fact."""
+    moves = answers.facts[name]
+    seeds = moves.recorded.shape[1]
+    log = np.zeros(1 + len(SHIFTS.sizes))
+    for scope in scopes:
+        luck = moves.luck[moves.known & answers.among(scope)]
+        independent = float(luck.var(axis=1).sum()) * seeds / max(seeds - 1, 1)
+        if independent:
+            log += SHIFTS.log_likelihood(luck.sum(axis=0), independent)
+    return SHIFTS.posterior(log)

@@ -8,7 +8,14 @@ import pytest
 from tables import GOLDEN, REFS, Fixed, a_run, rows, table, with_facts
 
 from pytest_cpas.golden import GoldenError, RunTable, Word, compare, read_golden, record
-from pytest_cpas.protocols import CountColumn, Protocol, shipped_protocol
+from pytest_cpas.protocols import (
+    Column,
+    CountColumn,
+    Protocol,
+    RankingColumn,
+    shipped_protocol,
+    shipped_protocols,
+)
 
 CPAS, OMNI = shipped_protocol("cpas"), shipped_protocol("omni6dpose")
 
@@ -241,15 +248,55 @@ def test_column_that_is_redefined_is_stale_alone():
     assert verdicts[-1].details.startswith("cpas.iou_25, cpas.iou_50, cpas.iou_75: defined")
 
 
-def test_column_that_one_of_the_tables_lacks_is_not_checked():
-    fewer = replace(CPAS, columns=[c for c in CPAS.columns if c.id != "iou_75"])
-    for golden, run, who in (
-        (of(), of(protocols=(fewer,)), "the golden table alone has"),
-        (of(protocols=(fewer,)), of(), "this run alone has"),
-    ):
-        verdicts = compare(golden, run)
-        assert words(verdicts) == [*MATCHES, ("completeness", Word.NOT_CHECKED)]
-        assert verdicts[-1].details.startswith(f"{who} cpas.iou_75; ")
+EVERYTHING = [shipped_protocol(name) for name in shipped_protocols()]
+
+
+@pytest.mark.parametrize(
+    ("protocol", "column"),
+    [
+        pytest.param(protocol, column, id=column.key)
+        for protocol in EVERYTHING
+        for column in protocol.columns
+    ],
+)
+def test_column_of_any_kind_that_the_tables_do_not_share_is_told(protocol, column):
+    """One of them lacks it, judges it by another statistic, or by facts of another definition."""
+    whole = of(protocols=(CPAS, protocol) if protocol.name != "cpas" else (CPAS,))
+    protocol = next(p for p in whole.protocols if p.name == protocol.name)
+
+    def with_columns(columns) -> RunTable:
+        changed = replace(protocol, columns=columns)
+        return of(protocols=tuple(changed if p is protocol else p for p in whole.protocols))
+
+    lacking = with_columns([each for each in protocol.columns if each is not column])
+    for golden, run, who in ((whole, lacking, "the golden table"), (lacking, whole, "this run")):
+        told = compare(golden, run)[-1]
+        assert told.word is Word.NOT_CHECKED
+        assert told.details.startswith(f"{who} alone has {column.key}; ")
+
+    other = with_columns([turned_over(c) if c is column else c for c in protocol.columns])
+    for golden, run in ((whole, other), (other, whole)):
+        told = compare(golden, run)[-1]
+        assert told.word is Word.STALE
+        assert told.details.startswith(f"{column.key}: defined otherwise")
+
+    name = column.facts[0].name
+    redefined = replace(whole, definitions={**whole.definitions, name: "other:1"})
+    told = compare(whole, redefined)[-1]
+    assert (told.category, told.word) == ("all", Word.STALE)
+    users = [c.key for p in whole.protocols for c in p.columns if name in {f.name for f in c.facts}]
+    assert told.details.startswith(f"{', '.join(users)}: defined otherwise")
+
+
+def turned_over(column: Column) -> Column:
+    """The same column with another statistic of the same facts."""
+    if isinstance(column, CountColumn | RankingColumn):
+        return replace(column, limits={name: 0.9 * limit for name, limit in column.limits.items()})
+    if column.median:
+        return replace(column, median="", areas={column.median: (0.0, 0.5)})
+    if column.levels:
+        return replace(column, levels={name: limits[:-1] for name, limits in column.levels.items()})
+    return replace(column, bins=column.bins + 1)
 
 
 def test_columns_in_another_order_are_the_same_columns():
