@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.golden.exact import Exact, to_record
-from pytest_cpas.golden.jitter import answers_of, loss_words, luckiest
+from pytest_cpas.golden.jitter import answers_of, drift_words, loss_words, luckiest
 from pytest_cpas.golden.pairing import (
     Pairing,
     SharedColumn,
@@ -77,7 +77,9 @@ def compare(
     notes = {category: _notes(golden, new, category) for category in categories}
     others = _other_columns(golden, new)
     if not any(sample.wavers for sample in golden.samples.values()):
-        exact = Exact(golden, new, columns, alarm / (2 * (len(categories) + 1)))
+        varies = all(golden.provenance_of(c).get("deterministic") == "no" for c in categories)
+        beside = Spread(answers_of(golden, new, [])) if golden.seeds > 1 and varies else None
+        exact = Exact(golden, new, columns, alarm, len(categories), beside)
         verdicts = [exact.verdict(p, notes[p.category]) for p in pairings]
         if not any(verdict.failed for verdict in verdicts):
             together = exact.drifted(Pairing.of(golden, new, None), [])
@@ -184,14 +186,8 @@ class _Spread:
                 told[word] += self._moved(pairing, index, worse)
             elif better < self.alarm:
                 told[Word.IMPROVED] += self._moved(pairing, index, better)
-        for name in self.spread.answers.facts:
-            worse = self.spread.p(scope, name)
-            better = self.spread.p(scope, name, better=True)
-            if worse < max(DOUBT, self.alarm):
-                word = Word.REGRESSED if worse < self.alarm else Word.PROBABLY_WORSE
-                told[word].append(self._drifted(pairing, name, worse))
-            elif better < self.alarm:
-                told[Word.IMPROVED].append(self._drifted(pairing, name, better))
+        for word, moved in drift_words(self.spread, scope, self.alarm).items():
+            told[word] += moved
         told[Word.CHANGED] += pairing.other_samples
         lines = [line for group in told.values() for line in group]
         words = [word for word, group in told.items() if group]
@@ -234,12 +230,6 @@ class _Spread:
             f"{self.columns[index].label}: {counts} correct{seen}",
             *self._evidence(pairing, index),
         ]
-
-    def _drifted(self, pairing: Pairing, name: str, p: float) -> str:
-        """How a fact moved, and how improbable its ranks are among those of the recorded seeds."""
-        answers = self.spread.answers
-        told = answers.facts[name].told(answers.names, answers.among(pairing.category))
-        return f"{told} ({self.seeds} recorded seeds; p = {p:.1g})"
 
     def _evidence(self, pairing: Pairing, index: int) -> list[str]:
         """The samples whose share of seeds that are correct moved most, down and up."""

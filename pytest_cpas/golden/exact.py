@@ -12,8 +12,10 @@ from scipy.special import bdtr
 
 from pytest_cpas.facts import SAME
 from pytest_cpas.golden.drift import Drift, drifts, may_not_move
+from pytest_cpas.golden.jitter import drift_words
 from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn, shared_facts
 from pytest_cpas.golden.rankings import ranking_changes
+from pytest_cpas.golden.spread import Spread
 from pytest_cpas.golden.tables import RunTable
 from pytest_cpas.golden.words import Word
 from pytest_cpas.types import Verdict
@@ -26,13 +28,20 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Exact:
-    """Where no flip is allowed; ``level``: the probability of a false alarm of drift in a category,
-    in one direction."""
+    """Where no flip is allowed; ``alarm``: the probability of a false alarm of drift in any of the
+    categories; ``beside``: the facts of several recorded seeds that vary."""
 
     golden: RunTable
     new: RunTable
     columns: Sequence[SharedColumn]
-    level: float
+    alarm: float
+    categories: int
+    beside: Spread | None
+
+    @property
+    def level(self) -> float:
+        """That in one category, or in all together, in one direction."""
+        return self.alarm / (2 * (self.categories + 1))
 
     def verdict(self, pairing: Pairing, notes: Sequence[str]) -> Verdict:
         """The verdict on a category."""
@@ -114,6 +123,8 @@ class Exact:
         self, pairing: Pairing, moved: Sequence[Drift], notes: Sequence[str]
     ) -> Verdict | None:
         """The verdict on facts that moved although nothing flipped; None if they may have."""
+        if self.beside is not None:
+            return self._drifted_beside(self.beside, pairing, notes)
         if not moved:
             return None
         if may_not_move(self.golden, self.new, pairing.category):
@@ -140,6 +151,20 @@ class Exact:
         if told[Word.IMPROVED]:
             return to_record(Word.IMPROVED, pairing, lines, notes)
         return None
+
+    def _drifted_beside(
+        self, beside: Spread, pairing: Pairing, notes: Sequence[str]
+    ) -> Verdict | None:
+        """The same beside several seeds, whose facts vary although none of their outcomes does."""
+        told = drift_words(beside, pairing.category, self.alarm)
+        lines = [f"    {line}" for group in told.values() for line in group]
+        if not lines:
+            return None
+        word = next(word for word, group in told.items() if group)
+        lines.insert(0, "nothing flipped, but facts moved one way beside those of recorded seeds:")
+        if word is Word.IMPROVED:
+            return to_record(word, pairing, lines, notes)
+        return Verdict(word, pairing.category, "\n  ".join([*lines, *notes]))
 
 
 def _told_once(pairing: Pairing, changes: Sequence[tuple[Flips, SharedColumn]]) -> list[str]:

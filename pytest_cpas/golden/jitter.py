@@ -13,6 +13,7 @@ from pytest_cpas.golden.pairing import SharedColumn, shared_columns, shared_fact
 from pytest_cpas.golden.ranks import Moves
 from pytest_cpas.golden.spread import DOUBT, Answers, Spread
 from pytest_cpas.golden.tables import RunTable
+from pytest_cpas.golden.words import Word
 
 #: How many times the recorded seeds is told what they could show, and up to how many.
 _MORE, _MOST = (2, 4, 8), 40
@@ -76,6 +77,24 @@ def _values(table: RunTable, names: list[str], name: str) -> NDArray[np.float64]
     """A fact per sample and seed, NaN where it is n/a."""
     values = [[a.facts.get(name) for a in table.samples[each].answers] for each in names]
     return np.array(values, dtype=np.float64).reshape(len(names), table.seeds)
+
+
+def drift_words(spread: Spread, scope: str, alarm: float) -> dict[Word, list[str]]:
+    """What to say of the facts of a category, or of all samples, that moved beside the recorded
+    seeds: by verdict, the gravest first."""
+    answers = spread.answers
+    told: dict[Word, list[str]] = {Word.REGRESSED: [], Word.PROBABLY_WORSE: [], Word.IMPROVED: []}
+    for name, moves in answers.facts.items():
+        worse, better = (spread.p(scope, name, better=which) for which in (False, True))
+        if worse < max(DOUBT, alarm):
+            word, p = Word.REGRESSED if worse < alarm else Word.PROBABLY_WORSE, worse
+        elif better < alarm:
+            word, p = Word.IMPROVED, better
+        else:
+            continue
+        line = moves.told(answers.names, answers.among(scope))
+        told[word].append(f"{line} ({moves.recorded.shape[1]} recorded seeds; p = {p:.1g})")
+    return told
 
 
 def loss_words(lucky: Spread, columns: Sequence[SharedColumn], scope: str, alarm: float) -> str:
