@@ -68,7 +68,8 @@ class Moves:
 
     @functools.cached_property
     def ranks(self) -> NDArray[np.int64]:
-        """(n, K + J) twice the mean ranks, from 0, the worst last; 0 where it is not known."""
+        """(n, K + J) twice the mean ranks, from 0, the worst last; all alike where it is not
+        known."""
         return _ranks(self.fact, np.where(self.known[:, None], self._pooled, 0.0))
 
     @functools.cached_property
@@ -157,7 +158,6 @@ def bounds(moves: Moves, among: NDArray[np.bool_], posterior: Array) -> tuple[Bo
     ``among`` (n,): the samples that are asked about; ``posterior`` of the sizes of the shifts. None
     where nothing is open, since all seeds are alike in every sample.
     """
-    among = among & moves.known
     total, cumulants = moves.standing[among].sum(), moves.cumulants[among].sum(axis=0)
     if not cumulants.any():
         return None
@@ -185,10 +185,10 @@ def _weights(recorded: int, drawn: int) -> Array:
 def _cumulants(scores: Array, drawn: int) -> Array:
     """(n, G) the logarithm of the mean of exp(t s), where s is the sum of ``drawn`` of the N rising
     ``scores``, (n, N)."""
-    exponents = _GRID[:, None] * scores[:, None, :]
     # in units of the largest sum that there is, so that none is lost
-    largest = np.sort(exponents, axis=2)[..., -drawn:].mean(axis=2, keepdims=True)
-    factors = np.exp(exponents - largest)
+    lowest, highest = scores[:, :drawn].mean(axis=1), scores[:, -drawn:].mean(axis=1)
+    largest = np.maximum(np.outer(lowest, _GRID), np.outer(highest, _GRID))[..., None]
+    factors = np.exp(_GRID[:, None] * scores[:, None, :] - largest)
     sums = np.zeros((*factors.shape[:2], drawn + 1))
     sums[..., 0] = 1.0
     for index in range(scores.shape[1]):

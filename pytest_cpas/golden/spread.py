@@ -136,8 +136,7 @@ class Spread:
             scope = self.answers.scopes[0]
         among = self.answers.among(scope)
         if isinstance(asked, str):
-            moves = self.answers.facts[asked]
-            return scope, "", moves.known[among].tobytes(), moves.ranks[among].tobytes()
+            return scope, "fact", self.answers.facts[asked].ranks[among].tobytes()
         known = self.answers.known[:, asked]
         recorded, run = self.answers.of(scope, asked)
         return scope, known[among].tobytes(), recorded.tobytes(), run.tobytes()
@@ -316,7 +315,7 @@ def _fact_shifts(answers: Answers, name: str, scopes: Iterable[str]) -> Array:
     seeds = moves.recorded.shape[1]
     log = np.zeros(1 + len(SHIFTS.sizes))
     for scope in scopes:
-        luck = moves.luck[moves.known & answers.among(scope)]
+        luck = moves.luck[answers.among(scope)]
         independent = float(luck.var(axis=1).sum()) * seeds / max(seeds - 1, 1)
         if independent:
             log += SHIFTS.log_likelihood(luck.sum(axis=0), independent)

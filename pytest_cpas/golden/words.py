@@ -21,17 +21,19 @@ class Word(VerdictWord):
     #: On another platform than that of the recording: samples flipped, but only where facts that
     #: moved by less than the tolerance lie on a threshold, and about as often either way.
     BORDERLINE = "BORDERLINE", "passed"
-    #: At some threshold more samples were lost than gained; they are named with their errors.
+    #: At some threshold more samples were lost than gained; they are named with their errors. Or
+    #: facts got worse in so many samples that it is improbable without a change.
     #: Against the paper: an interval lies below what it prints.
     REGRESSED = "REGRESSED", "failed"
-    #: Of a table recorded under several seeds: a loss that less than 5 % of all runs without a
-    #: change show anywhere, but not as improbable as --cpas-alarm asks of REGRESSED. Its p is told;
+    #: Of a table recorded under several seeds: a loss, or facts that got worse, as less than 5 % of
+    #: all runs without a change show anywhere, but not as improbable as --cpas-alarm asks of REGRESSED. Its p is told;
     #: it fails with --cpas-require-golden=strict.
     PROBABLY_WORSE = "PROBABLY WORSE", "skipped", "skipped", "failed"
     #: Of a table recorded under several seeds: nothing is improbable beside them, but not even the
     #: loss of every sample of this category would be; that of others would.
     CANNOT_TELL = "CANNOT TELL", "skipped"
-    #: Samples were gained and none lost: look at it and record it.
+    #: Samples were gained and none lost, or facts got better in so many samples that it is
+    #: improbable without a change: look at it and record it.
     IMPROVED = "IMPROVED", "failed"
     #: As many lost as gained, or other samples, or fewer than there were, or a metric is n/a that
     #: was not; or facts moved on the platform of the recording although nothing flipped.
