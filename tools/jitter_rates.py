@@ -4,20 +4,21 @@ The answers of ``icp`` under many seeds give the runs: some seeds are the record
 is the run. For any number of seeds and samples a model draws both: every sample is like one that is
 there, the answers of a sample are those of its seeds, and in one of :data:`OTHERS` cases that of
 another sample of its category. There are two sets of seeds: ``tests/golden/icp_seeds.csv`` has what
-seeds 0 to 39 get right at the thresholds of the paper, ``tests/golden/icp_facts.npz`` the facts of
-seeds 100 to 139, which are judged under all protocols that ship and are about samples. From the
-project's root::
+seeds 0 to 39 get right at the thresholds of the paper; ``tests/golden/icp_facts.npz`` the facts of
+84 of the samples under seeds 100 to 139, which are judged under all protocols that ship (their
+columns that rank detections need a data set of detections). From the project's root::
 
     python tools/jitter_rates.py [RUNS [PART [SEED]]]
 
-``PART``: "losses", "moves", "counts" (alarms of the first set) or "facts" (of the second); all if
-it is left out.
+``PART``: "losses", "moves", "counts" (alarms of the first set), "together" (alarms of seeds that
+move all of its samples) or "facts" (alarms of the second set); all if it is left out.
 """
 
 from __future__ import annotations
 
 import csv
 import functools
+import itertools
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
 
 from pytest_cpas.facts import fact
 from pytest_cpas.golden.ranks import Moves
@@ -155,6 +157,15 @@ class Icp:
         rows = np.where(rng.random(others.shape) < 1 / OTHERS, others, samples[:, None])
         return self._drawn(samples, rows, rng.integers(self.correct.shape[1], size=rows.shape))
 
+    def together(self, deviate: float, count: int, rng: np.random.Generator) -> Drawn:
+        """The samples as they are, independent but for what a seed adds to the log odds of all."""
+        seeds = self.correct.shape[1]
+        odds = logit(np.clip(self.correct.mean(axis=1), 0.5 / seeds, 1 - 0.5 / seeds))
+        chance = expit(odds[:, None] + rng.normal(0, deviate, (1, count, 1)))
+        # what is right at a strict threshold is right at a looser one
+        correct = rng.random((len(odds), count, 1)) < chance
+        return Drawn(self.categories, self.easy, correct, {})
+
 
 def least(answers: Answers, scopes: Sequence[str], *, better: bool = False) -> float:
     """The p of the most improbable answer on ``scopes``."""
@@ -197,7 +208,6 @@ def power_of_moves(
     factor: float,
     runs: int,
     rng: np.random.Generator,
-    *,
     everywhere: bool,
     again: int = 1,
 ) -> tuple[float, float]:
@@ -225,6 +235,8 @@ def main(runs: int, part: str, seed: int) -> None:
         _print_moves(Icp.of_facts(PAPER), runs // 200, seed)
     if part in ("counts", ""):
         _print_alarms(Icp.of_counts(), runs, seed)
+    if part in ("together", ""):
+        _print_together(Icp.of_counts(), runs // 20, seed)
     if part in ("facts", ""):
         _print_alarms(Icp.of_facts(), runs, seed)
 
@@ -246,6 +258,16 @@ def _print_alarms(icp: Icp, runs: int, seed: int) -> None:
     print(f"\n{called} false alarms in {runs} runs, less than {high:.2g} (exact, 99 %)\n")
 
 
+def _print_together(icp: Icp, runs: int, seed: int) -> None:
+    rng = np.random.default_rng([seed, 3])
+    print("| recorded seeds | deviate | runs | REGRESSED | IMPROVED | PROBABLY WORSE |")
+    print("|---|---|---|---|---|---|")
+    for recorded, deviate in itertools.product((5, 20), (0.25, 0.5, 1.0)):
+        counts = alarms(functools.partial(icp.together, deviate), recorded, runs, rng)
+        print(f"| {recorded} | {deviate} | {runs} | {' | '.join(map(str, counts))} |", flush=True)
+    print(flush=True)
+
+
 def _print_losses(icp: Icp, runs: int, seed: int) -> None:
     rng = np.random.default_rng([seed, 1])
     print("| recorded seeds | seeds of the run | 2 of 21 lost | 4 of 21 lost | 8 of 21 lost |")
@@ -259,16 +281,18 @@ def _print_losses(icp: Icp, runs: int, seed: int) -> None:
 
 def _print_moves(icp: Icp, runs: int, seed: int) -> None:
     rng = np.random.default_rng([seed, 2])
-    factors = (1.1, 1.25, 1.5)
-    heads = [f"{100 * (f - 1):.0f} % in {what}" for what in ("a category", "all") for f in factors]
+    cases = [(1.25, False), (1.5, False), (1.1, True), (1.25, True)]
+    heads = [
+        f"{100 * (factor - 1):.0f} % in {'all' if everywhere else 'a category'}"
+        for factor, everywhere in cases
+    ]
     print(f"| recorded seeds | seeds of the run | {' | '.join(heads)} |")
     print("|" + "---|" * (2 + len(heads)))
     for again in (1, 5):
         for seeds in (5, 10, 20, 40):
             cells = [
-                _told(power_of_moves(icp.model, seeds, f, runs, rng, everywhere=all_, again=again))
-                for all_ in (False, True)
-                for f in factors
+                _told(power_of_moves(icp.model, seeds, factor, runs, rng, everywhere, again))
+                for factor, everywhere in cases
             ]
             print(f"| {seeds} | {again} | {' | '.join(cells)} |", flush=True)
     print(flush=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jitter_rates import Icp, alarms, least, power
+from jitter_rates import Icp, alarms, least, power, power_of_moves
 from scipy import stats
 from tables import a_run
 
@@ -177,6 +177,24 @@ def test_unchanged_runs_of_icp_are_left_alone(icp):
     )
     assert red + improved <= 1
     assert Count(int(doubtful), 150).interval(0.98)[0] < DOUBT / 2
+
+
+def test_unchanged_runs_of_icp_are_left_alone_under_all_protocols():
+    """Other seeds, with all facts: the same in small."""
+    icp, rng = Icp.of_facts(), np.random.default_rng(1)
+    assert len(icp.facts) > 20
+    for draw in (icp.seeds, icp.model):
+        red, improved, doubtful = alarms(draw, 5, 8, rng)
+        assert red + improved == 0
+        assert doubtful <= 2
+
+
+def test_moved_facts_of_icp_are_found():
+    red, doubtful = power_of_moves(
+        Icp.of_facts("cpas").model, 10, 1.5, 8, np.random.default_rng(1), everywhere=True
+    )
+    assert red >= 0.8
+    assert doubtful == 1
 
 
 @pytest.mark.parametrize(
