@@ -124,8 +124,9 @@ class Spread:
         self._asked: dict[tuple[str, int | str, bool], _Asked] = {}
         once: dict[tuple[str | bytes, ...], tuple[_Asked, _Asked]] = {}
         everything = [*range(answers.known.shape[1]), *answers.facts]
+        self._contents: dict[tuple[str, int | str], tuple[str | bytes, ...]] = {}
         for scope, asked in itertools.product(answers.scopes, everything):
-            same = self._content(scope, asked)
+            same = self._contents[scope, asked] = self._content(scope, asked)
             if same not in once:
                 once[same] = self._both(scope, asked)
             self._asked[scope, asked, False], self._asked[scope, asked, True] = once[same]
@@ -170,25 +171,22 @@ class Spread:
         return _SHARES[kind] / self._counts[kind]
 
     @functools.cached_property
-    def _distinct(self) -> dict[_Asked, tuple[str, int | str, bool]]:
-        """Every question that asks something once: its scope, about what, and whether better."""
-        asked = {each: key for key, each in self._asked.items()}
-        asked.pop(NOTHING, None)
-        return asked
+    def _distinct(self) -> dict[tuple[str, int | str, bool], _Asked]:
+        """Every question that asks something once, by its scope, about what, and whether better."""
+        once = {each: key for key, each in self._asked.items() if each is not NOTHING}
+        return {key: each for each, key in once.items()}
 
     @functools.cached_property
     def _counts(self) -> Mapping[tuple[bool, bool], int]:
         """How many questions there are of each kind."""
-        return Counter(map(_kind, self._distinct.values()))
+        return Counter(map(_kind, self._distinct))
 
-    def _of_run(self, level: float, but: Sequence[str] = ()) -> float:
+    def _of_run(self, level: float) -> float:
         """The sum over all questions of the probability of an answer that is below its share of
-        ``level``, or 1; those on a scope of ``but``, and on facts that are not there, count as if
-        all attained it."""
+        ``level``, or 1; facts that are not there count as if all were."""
         total = 0.0 if self.answers.facts else _OF_FACTS * level
-        for asked, key in self._distinct.items():
-            p = self._share(key) * level
-            total += p if key[0] in but else asked.attained(p)
+        for key, asked in self._distinct.items():
+            total += asked.attained(self._share(key) * level)
             if total >= 1:
                 break
         return total
@@ -225,15 +223,27 @@ class Spread:
 
     def _critical(self, level: float, own: Sequence[str]) -> float:
         """A p of a loss that is below ``level`` for the run, whatever the questions on ``own``
-        become."""
+        become: those that ask nothing now as well."""
+        kept = {
+            content: key
+            for key, content in self._contents.items()
+            if isinstance(key[1], int)
+            and (key[0] in own or self._asked[*key, False] is not NOTHING)
+        }
+        shares = {better: _SHARES[False, better] / max(len(kept), 1) for better in (False, True)}
+
+        def of_run(level: float) -> float:
+            return _OF_FACTS * level + sum(
+                p if key[0] in own else self._asked[*key, better].attained(p)
+                for key in kept.values()
+                for better, p in ((each, level * share) for each, share in shares.items())
+            )
+
         low, high = level, level * len(self._asked) / min(_SHARES.values())
         for _ in range(30):
             middle = math.sqrt(low * high)
-            low, high = (middle, high) if self._of_run(middle, own) < level else (low, middle)
-        # those on its own scopes may come to differ, where they are the same now or ask nothing
-        of_loss = [key for key in self._asked if _kind(key) == (False, False)]
-        kept = sum(key[0] in own or key in self._distinct.values() for key in of_loss)
-        return low * _SHARES[False, False] / max(kept, 1)
+            low, high = (middle, high) if of_run(middle) < level else (low, middle)
+        return low * shares[False]
 
 
 def _kind(key: tuple[str, int | str, bool]) -> tuple[bool, bool]:

@@ -26,8 +26,8 @@ class Word(VerdictWord):
     #: Against the paper: an interval lies below what it prints.
     REGRESSED = "REGRESSED", "failed"
     #: Of a table recorded under several seeds: a loss, or facts that got worse, as less than 5 % of
-    #: all runs without a change show anywhere, but not as improbable as --cpas-alarm asks of REGRESSED. Its p is told;
-    #: it fails with --cpas-require-golden=strict.
+    #: all runs without a change show anywhere, but not as improbable as --cpas-alarm asks of
+    #: REGRESSED. Its p is told; it fails with --cpas-require-golden=strict.
     PROBABLY_WORSE = "PROBABLY WORSE", "skipped", "skipped", "failed"
     #: Of a table recorded under several seeds: nothing is improbable beside them, but not even the
     #: loss of every sample of this category would be; that of others would.

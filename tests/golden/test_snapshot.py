@@ -112,7 +112,7 @@ def test_recorded_spread_is_allowed(cpas, pytester):
             "golden: RECORDED: *tiny",
             "  how many a later run of one seed must lose to be REGRESSED (PROBABLY WORSE), *",
             "    these 4 seeds: bowl none (4) of 5, mug none (5) of 6, all 9 (6) of 11",
-            "    8 seeds that spread like these: *, all 6 (3) of 11",
+            "    8 seeds that spread like these: *, all 6 (4) of 11",
         ]
     )
     folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
