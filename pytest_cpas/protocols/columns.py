@@ -256,7 +256,8 @@ class _Parser:
             raise self.fail(f"version is {shown(version)}, expected a whole number from 1")
         sections = self.content.get("columns")
         if not isinstance(sections, list) or not sections:
-            raise self.fail("columns is empty or missing, expected [[columns]] tables")
+            seen = shown(sections) if sections else "empty or missing"
+            raise self.fail(f"columns is {seen}, expected [[columns]] tables")
         if len(sections) > _MOST_COLUMNS:
             raise self.fail(f"{len(sections)} columns, at most {_MOST_COLUMNS} are read")
         columns = [self.column(name, section) for section in sections]
@@ -389,7 +390,7 @@ class _Parser:
             raise self.fail(f"column {column}: {made.name} is {shown(value)}, expected [from, to]")
         start, stop = (self.limit(column, made, end) for end in value)
         if not start < stop:
-            raise self.fail(f"column {column}: {made.name} runs from {start:g} to {stop:g}")
+            raise self.fail(f"column {column}: {made.name} runs from {start:g} to {stop:g}, not up")
         return start, stop
 
     def levels(self, column: str, made: Fact, value: object) -> tuple[float, ...]:
@@ -400,5 +401,5 @@ class _Parser:
             )
         limits = tuple(self.limit(column, made, each) for each in value)
         if any(later <= before for before, later in itertools.pairwise(limits)):
-            raise self.fail(f"column {column}: the limits on {made.name} do not rise")
+            raise self.fail(f"column {column}: the limits on {made.name} do not all rise")
         return limits
