@@ -104,9 +104,11 @@ def kill_writer(kind: str, root: Path, rng: random.Random) -> str:
     if kind == "golden":
         survivor = find_golden(folder, "m", "d")
         assert survivor in (before, GOLDEN, table(s_03=9))
+        # what the killed update left is of no account to a reader, and the next update removes it
+        record(folder, GOLDEN)
         left = {path.name for path in (folder / "recorded" / "m" / "d").iterdir()}
-        files = ("table.toml", "samples.csv"), ("run.toml", "facts.csv", "cpas.toml")
-        assert left == set(files[not survivor.outdated]), left
+        assert left == {"run.toml", "facts.csv", "cpas.toml"}, left
+        assert find_golden(folder, "m", "d") == GOLDEN
         if survivor.outdated:
             return "table of version 1"
         return "old table" if survivor == GOLDEN else "new table"
