@@ -30,7 +30,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import bdtr, ndtr, stdtrit
 
 from pytest_cpas.types import ContractError
-from pytest_cpas.types._arrays import Array, checked_number
+from pytest_cpas.types._arrays import (
+    LARGEST_OF_METRICS,
+    Array,
+    checked_number,
+    finite_array,
+    real_array,
+)
 
 __all__ = [
     "CONFIDENCE",
@@ -75,9 +81,9 @@ def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
     """Student's t interval of the mean of independent values (N,), NaN where n/a.
 
     None where it says nothing: of fewer than two values, or of equal ones.
-    Raises :class:`ContractError` for values of another shape.
+    Raises :class:`ContractError` for values of another shape, and for infinite ones.
     """
-    known = _known(_vector(values))
+    known = finite_array(_known(_vector(values)), "values", LARGEST_OF_METRICS)
     tail = _tail(confidence)
     if len(known) < 2 or known.min() == known.max():
         return None
@@ -106,11 +112,12 @@ def scene_mean_intervals(
     ``scenes`` (N,): the name of each sample's scene, or its number. A share is the mean of zeros
     and ones. None where scenes say nothing: so few have known values that they are not that sure,
     each of them has one sample, or all have the same mean. Raises :class:`ContractError` for other
-    shapes.
+    shapes, and for infinite values.
     """
-    table = np.asarray(values, dtype=np.float64)
+    table = real_array(values, "values")
     if table.ndim != 2:
         raise ContractError(f"values: shape {table.shape}, expected (N, K)")
+    finite_array(_known(table), "values", LARGEST_OF_METRICS)
     codes = _codes(scenes, len(table))
     tail = _tail(confidence)
     if not len(table):
@@ -180,29 +187,34 @@ def _first_half(rows: Integers, codes: Integers) -> Integers:
 
 
 def _vector(values: ArrayLike) -> Array:
-    column = np.asarray(values, dtype=np.float64)
+    column = real_array(values, "values")
     if column.ndim != 1:
         raise ContractError(f"values: shape {column.shape}, expected (N,)")
     return column
 
 
-def _known(column: Array) -> Array:
-    return column[~np.isnan(column)]
+def _known(values: Array) -> Array:
+    return values[~np.isnan(values)]
 
 
 def _tail(confidence: float) -> float:
     """What lies outside on one side."""
-    if not 0 < checked_number(confidence, "confidence, between 0 and 1", 0, 1) < 1:
+    sure = float(checked_number(confidence, "confidence, between 0 and 1", 0, 1))
+    if not 0 < sure < 1:
         raise ContractError(f"confidence: {confidence}, expected a number between 0 and 1")
-    return (1 - confidence) / 2
+    return (1 - sure) / 2
 
 
 def _codes(scenes: ArrayLike, samples: int) -> Integers:
     """The scene of each sample as a number from 0."""
-    names = np.asarray(scenes)
+    try:
+        names = np.asarray(scenes)
+        codes = np.unique(names, return_inverse=True)[1]
+    except (TypeError, ValueError) as error:
+        raise ContractError(f"scenes: neither names nor numbers ({error})") from None
     if names.shape != (samples,):
         raise ContractError(f"scenes: shape {names.shape}, expected ({samples},) like the values")
-    return np.unique(names, return_inverse=True)[1]
+    return codes
 
 
 def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[Integers, Integers]]:

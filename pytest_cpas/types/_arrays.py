@@ -28,14 +28,21 @@ LARGEST_OF_METRICS, SMALLEST_OF_METRICS = 1e100, 1e-100
 MAX = sys.float_info.max
 
 
+def real_array(value: ArrayLike, what: str) -> Array:
+    """``value`` as float64, not copied if it is that; NaN and infinities are taken.
+
+    Raises :class:`ContractError` for what is no real number.
+    """
+    array = value if type(value) is np.ndarray else _as_array(value, what)
+    return array if array.dtype == np.float64 else _as_real(array, what)
+
+
 def finite_array(value: ArrayLike, what: str, most: float = LARGEST) -> Array:
     """``value`` as float64, not copied if it is that, of magnitudes up to ``most``.
 
     Raises :class:`ContractError` for NaN, for what is larger, and for what is no real number.
     """
-    array = value if type(value) is np.ndarray else _as_array(value, what)
-    if array.dtype != np.float64:
-        array = _as_real(array, what)
+    array = real_array(value, what)
     # two passes without a copy; both propagate NaN, which is not within anything
     if array.size and not (array.min() >= -most and array.max() <= most):
         bad = int(np.count_nonzero(~np.isfinite(array)))
@@ -53,9 +60,7 @@ def frozen_array(value: ArrayLike, shape: tuple[int | None, ...], what: str) -> 
 
     Raises :class:`ContractError` as :func:`finite_array`, and for another shape.
     """
-    given = value if type(value) is np.ndarray else _as_array(value, what)
-    if given.dtype != np.float64:
-        given = _as_real(given, what)
+    given = real_array(value, what)
     if given.shape != shape and (
         given.ndim != len(shape)
         or any(want not in (None, have) for have, want in zip(given.shape, shape, strict=True))

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from tables import GOLDEN, REFS, Fixed, a_run, rows, table, with_facts
 
+from pytest_cpas.facts import fact
 from pytest_cpas.golden import GoldenError, RunTable, Word, compare, read_golden, record
 from pytest_cpas.protocols import (
     Column,
@@ -60,7 +61,7 @@ def changed_lines(folder: Path, update: RunTable) -> dict[str, list[str]]:
         ({"iou": None}, True),
         # below any tolerance, but on the other side of a limit
         ({"rotation_deg": 5 + 1e-9}, True),
-        ({"fscore_1cm": float("-inf")}, True),
+        ({"fscore_1cm": 0.0}, True),
     ],
 )
 def test_line_is_rewritten_only_if_something_happened(tmp_path, facts, rewritten):
@@ -81,7 +82,8 @@ def test_failure_that_is_told_otherwise_is_rewritten(tmp_path):
     def failing(reason):
         (row,) = (row for row in rows() if row.sample == "s/03")
         (answer,) = row.answers
-        return replace(row, answers=(replace(answer, failure=reason),))
+        failed = {name: fact(name).failed for name in answer.facts}
+        return replace(row, answers=(replace(answer, facts=failed, failure=reason),))
 
     folder = record(tmp_path, of(failing("too dark")))
     written = changed_lines(folder, of(failing("too small")))

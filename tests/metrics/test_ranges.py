@@ -15,6 +15,7 @@ from pytest_cpas.metrics import (
     Count,
     Detections,
     Errors,
+    Interval,
     JointThreshold,
     ModelPoints,
     Surface,
@@ -30,7 +31,9 @@ from pytest_cpas.metrics import (
     diameter,
     iou_auc,
     iou_plus,
+    mean_interval,
     mean_over_categories,
+    median_interval,
     mspd,
     mssd,
     nocs_legacy_iou,
@@ -39,6 +42,8 @@ from pytest_cpas.metrics import (
     require_same_definition,
     rotation_error,
     sample_surface,
+    scene_mean_intervals,
+    scene_median_interval,
     surface_errors,
     symmetric_iou,
     symmetry_rotations,
@@ -85,6 +90,20 @@ def distances(to_estimate: Any, to_truth: Any) -> list[Any]:
     surface = Surface(POINTS)
     found = SurfaceErrors(to_estimate, to_truth, surface, surface)
     return [found.chamfer, found.nad, found.fscore(0.1)]
+
+
+#: Of an interval.
+VALUES: dict[str, Any] = {"values": [0.1, 0.4, 0.2, 0.9, 0.3, 0.7, 0.5] * 2, "confidence": 0.9}
+SCENES = [0, 1, 2, 3, 4, 5, 6] * 2
+
+
+def ends(interval: Interval | None) -> list[float]:
+    return [] if interval is None else [interval.low, interval.high]
+
+
+def finite_ends(interval: Interval | None) -> list[float]:
+    """Infinite values take part in medians."""
+    return [end for end in ends(interval) if not math.isinf(end)]
 
 
 #: A call with sound arguments for every function, and every class, that takes numbers; each of the
@@ -146,7 +165,9 @@ CALLS: dict[str, list[tuple[Callable[..., Any], dict[str, Any]]]] = {
             {"a": POINTS, "b": POINTS},
         )
     ],
+    "mean_interval": [(lambda **given: ends(mean_interval(**given)), VALUES)],
     "mean_over_categories": [(lambda x: mean_over_categories({"a": x}), {"x": Count(1, 2)})],
+    "median_interval": [(lambda **given: finite_ends(median_interval(**given)), VALUES)],
     "nocs_legacy_iou": [(nocs_legacy_iou, BOXES | {"spins": 3})],
     "oriented_iou": [(oriented_iou, BOXES)],
     "pose_vus": [
@@ -171,6 +192,18 @@ CALLS: dict[str, list[tuple[Callable[..., Any], dict[str, Any]]]] = {
             lambda vertices: sample_surface(Mesh(vertices, CORNER.triangles), 5, 0),
             {"vertices": CORNER.vertices},
         ),
+    ],
+    "scene_mean_intervals": [
+        (
+            lambda **given: [ends(each) for each in scene_mean_intervals(**given)],
+            VALUES | {"values": np.transpose([VALUES["values"]] * 2), "scenes": SCENES},
+        )
+    ],
+    "scene_median_interval": [
+        (
+            lambda **given: finite_ends(scene_median_interval(**given)),
+            VALUES | {"scenes": SCENES},
+        )
     ],
     "surface_errors": [
         (
@@ -203,8 +236,8 @@ CALLS: dict[str, list[tuple[Callable[..., Any], dict[str, Any]]]] = {
     "translation_error": [(translation_error, {"estimate": ORIGIN, "truth": UNIT})],
 }
 
-#: Constants, which take nothing.
-CONSTANTS = {"DEFINITIONS", "FAILED", "METRICS", "PAPER_THRESHOLDS", "POSE_MATCH_IOU"}
+#: Constants, which take nothing, and what is only given.
+CONSTANTS = {"DEFINITIONS", "FAILED", "Interval", "METRICS", "PAPER_THRESHOLDS", "POSE_MATCH_IOU"}
 
 SCALES = (
     math.nan, math.inf, -math.inf, -1.0, 0.0, 5e-324, 1e-310, 1e-200, 1e-110, 1e-60, 1e-31, 1e-16,
