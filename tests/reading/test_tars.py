@@ -76,7 +76,7 @@ ATTACKS = {
     "size of other digits": (records(record(b"size", "٣".encode())) + header(), "expected a size"),
     "size in words": (header(size=b"many"), "expected a size"),
     "size beyond": (header(size=BIG), "it would unpack to more than"),
-    "old sparse": (header(kind=b"S", at_482=b"\1") + bytes(512) * 9, "a sparse file"),
+    "old sparse": (header(kind=b"S", at_482=b"\1") + bytes(512) * 9, "or sparse"),
     "new sparse": (records(record(b"GNU.sparse.major", b"1")) + header(), "a sparse file"),
     "links": (header(kind=b"1"), "is a link"),
     "symbolic links": (header(kind=b"2"), "is a link"),
