@@ -163,13 +163,14 @@ class Folder(RecordTree):
 
 @functools.cache
 def parse_symmetry(text: str) -> Symmetry:
-    """``none``, ``y`` (any angle about y), ``y/4`` (four-fold about y), ``box`` or ``sphere``."""
+    """``none``, ``y`` (any angle about y), ``y/4`` (four-fold about y), ``box`` or ``sphere``;
+    x and z as y."""
     named = {"none": Symmetry.none, "box": Symmetry.box, "sphere": Symmetry.full}
     if text in named:
         return named[text]()
     match = _SYMMETRY.fullmatch(text)
     fold = whole(match[2]) if match else None
     if not match or (match[2] and not (fold and fold <= _MOST_FOLD)):
-        raise DataError(f"symmetry {text!r}, expected none, y, y/4, box or sphere")
+        raise DataError(f"symmetry {text!r}, expected none, y, y/4 (or x, z), box or sphere")
     axis = np.eye(3)["xyz".index(match[1])]
     return Symmetry.about(axis) if fold is None else Symmetry.n_fold(axis, fold)

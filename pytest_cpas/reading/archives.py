@@ -170,6 +170,10 @@ def _tar_members(where: str, file: BinaryIO, size: int) -> Iterator[_File]:
 KEPT = ".fetched"
 
 
+#: What ends lines, moves the cursor or turns the direction of writing.
+_INVISIBLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+
+
 def _checked(name: str) -> PurePosixPath:
     """The path that a member names, if it stays within the folder on every system."""
     path = PurePosixPath(name)
@@ -181,6 +185,8 @@ def _checked(name: str) -> PurePosixPath:
         or re.match(r"[A-Za-z]:", name)
     ):
         raise ArchiveError(f"{shown(name)} leads out of the folder")
+    if _INVISIBLE.search(name):
+        raise ArchiveError(f"{shown(name)} has control characters, which no path of a data set has")
     if path.parts[0] == KEPT:
         raise ArchiveError(f"{shown(name)} is where downloads are kept, which no archive holds")
     if len(name) > _LONGEST_PATH or any(len(os.fsencode(p)) > _LONGEST_NAME for p in path.parts):

@@ -6,6 +6,7 @@ One file per method, data set and kind of machine, for a ratio means nothing on 
 
 from __future__ import annotations
 
+import math
 import re
 import statistics
 from collections.abc import Mapping, Sequence
@@ -25,7 +26,7 @@ from pytest_cpas.timing.intervals import (
     quotient,
     relative_to_others,
 )
-from pytest_cpas.types import ToldError
+from pytest_cpas.types import ToldError, shown
 
 FORMAT = 1
 
@@ -99,11 +100,28 @@ class SpeedRecord:
         content = parse_toml("the record", text)
         if content.get("format") != FORMAT:
             raise ValueError(f"format is {content.get('format')!r}, this version reads {FORMAT}")
-        spread = {name: float(value) for name, value in content["spread"].items()}
-        ratios = {name: float(value) for name, value in content["ratios"].items()}
-        if not all(0 < value < float("inf") for value in (*ratios.values(), *spread.values())):
-            raise ValueError("ratios and spread must be positive")
-        return cls(content["identity"], content["provenance"], ratios, Interval(1.0, **spread))
+        spread, ratios = (_positive(name, content[name]) for name in ("spread", "ratios"))
+        if spread.keys() != {"lower", "upper", "confidence"}:
+            raise ValueError(f"spread has {', '.join(spread)}, expected lower, upper, confidence")
+        if not (spread["lower"] <= 1 <= spread["upper"] and spread["confidence"] <= 1):
+            raise ValueError("spread: expected lower <= 1 <= upper, and confidence of 1 at most")
+        if not ratios:
+            raise ValueError("ratios are empty")
+        identity, provenance = (_texts(name, content[name]) for name in ("identity", "provenance"))
+        return cls(identity, provenance, ratios, Interval(1.0, **spread))
+
+
+def _positive(name: str, values: Mapping[str, object]) -> dict[str, float]:
+    for key, value in values.items():
+        if type(value) not in (int, float) or not 0 < value < math.inf:  # type: ignore[operator]
+            raise ValueError(f"{name}: {shown(key)} is {shown(value)}, expected a positive number")
+    return {key: float(value) for key, value in values.items()}  # type: ignore[arg-type]
+
+
+def _texts(name: str, values: Mapping[str, object]) -> dict[str, str]:
+    if not all(isinstance(value, str) for value in values.values()):
+        raise ValueError(f"{name} must be texts")
+    return {key: str(value) for key, value in values.items()}
 
 
 def identity_of(run: Mapping[str, str], machine: MachineDocument, kernel: str) -> dict[str, str]:

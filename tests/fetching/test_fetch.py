@@ -328,6 +328,10 @@ MALICIOUS = {
     "zip, up": (zipped(*GOOD, ("../evil", b"x")), "'../evil' leads out of the folder"),
     "zip, up within": (zipped(*GOOD, ("tree/../../evil", b"x")), "leads out of the folder"),
     "zip, absolute": (zipped(*GOOD, ("/evil", b"x")), "leads out of the folder"),
+    **{
+        f"zip, named {name!r}": (zipped(*GOOD, (name, b"x")), "has control characters")
+        for name in ("a\x1b[31m", "a\nb", "a\x85", "a\u202eb", "tree/\x7f")
+    },
     "zip, drive": (zipped(*GOOD, ("C:/evil", b"x")), "leads out of the folder"),
     "zip, backslash": (patched(zipped(*GOOD, ("..#evil", b"x")), b"..#e", b"..\\e"), "leads out"),
     "zip, link": (zipped(*GOOD, (zip_mode("l", stat.S_IFLNK), b"/etc/passwd")), "'l' is a link"),

@@ -188,6 +188,15 @@ def test_a_library_that_only_one_run_has_loaded_is_no_difference(clocked, pytest
         lambda text: text.replace('"scene_0/0000" = 1', '"scene_0/0000" = -1'),
         lambda text: text.replace("[ratios]", "[other]"),
         lambda text: "ratios = 3",
+        lambda text: text.replace("lower = 0.9", "lower = 1.2"),
+        lambda text: text.replace("upper = 1.1", "upper = 0.95"),
+        lambda text: text.replace("confidence = 0.99", "confidence = 7"),
+        lambda text: text.replace("confidence = 0.99", ""),
+        lambda text: text.replace("= 1.5", '= "1_5"'),
+        lambda text: text.replace("= 1.5", "= true"),
+        lambda text: text.replace("= 1.5", "= nan"),
+        lambda text: text.replace('"scene_0/0000" = 1.5', ""),
+        lambda text: text.replace('= "d"', "= 1"),
     ],
 )
 def test_a_damaged_record_is_named(tmp_path, spoil):
