@@ -85,8 +85,9 @@ def interval_messages(entry: PrecisionDocument | ScoreDocument) -> list[str]:
 
 
 def interval_note(run: RunDocument) -> str:
-    """What the intervals of a run are, and what they leave out; empty if nothing was judged."""
-    if not run["judged"]:
+    """What the intervals of a run are, and what they leave out; empty if none is shown."""
+    entries: list[PrecisionDocument | ScoreDocument] = [*run["precision"], *run["scores"]]
+    if not any(map(interval_messages, entries)):
         return ""
     told = "intervals at 95 %: per sample, as if all were independent"
     scenes = run["scenes"]

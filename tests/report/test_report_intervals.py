@@ -133,6 +133,7 @@ def test_what_there_is_by_scene_is_said_once(scenes, count, note):
     (run,) = content["runs"]
     assert run["scenes"] == count
     assert note in interval_note(run)
+    assert interval_note({**run, "precision": [], "scores": []}) == ""  # as of AP alone
     by_scene = [entry["intervals"]["scene"] for entry in run["precision"]]
     assert any(by_scene) is ("none by scene" not in note)
     shown = told(content)
