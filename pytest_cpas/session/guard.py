@@ -133,10 +133,18 @@ class Guard:
             if sessions and all(session.verdicts_told for session in sessions):
                 self.record.tell(2)
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_keyboard_interrupt(self) -> None:
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_keyboard_interrupt(self) -> Generator[None, object, object]:
         """Said to the parent, which may have been interrupted too."""
         self.record.interrupt()
+        self._end_of_capturing()
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_internalerror(self) -> Generator[None, object, object]:
+        """Capturing ends here as well."""
+        self._end_of_capturing()
+        return (yield)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> Generator[None, object, object]:
@@ -168,6 +176,11 @@ class Guard:
     def _see_outputs(self) -> None:
         if any(_file_of(number) != file for number, file in self._kept.items()):
             self.record.lose_output()
+
+    def _end_of_capturing(self) -> None:
+        """pytest is about to close its descriptors itself: what is closed from here on is right."""
+        self._see_outputs()
+        self._kept = {}
 
     def _held(self, config: pytest.Config, status: int) -> int:
         """The status; 1 instead of 0 if that would be untrue, and why is said."""

@@ -96,6 +96,13 @@ def test_method_that_closes_what_it_has_not_opened(ends, limit):
     )
 
 
+def test_interrupted_run_is_no_lost_output(ends):
+    """pytest closes its own descriptors when it is interrupted."""
+    result = ends(predict="raise KeyboardInterrupt")
+    assert result.ret == 2
+    result.stderr.no_fnmatch_line("*ERROR*")
+
+
 def test_parent_that_was_stopped_goes_on(started):
     process = started(predict="open('waits', 'w').close(); os.kill(os.getppid(), signal.SIGSTOP)")
     output = process.communicate(timeout=60)[0].decode()
