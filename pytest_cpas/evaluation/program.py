@@ -19,10 +19,12 @@ import importlib.machinery
 import importlib.metadata
 import inspect
 import platform
+import re
 import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -159,8 +161,8 @@ class _Search:
                 self._foreign.add(top)
                 continue
             self.files[path] = name
-            if "." in name:
-                waiting.append(name.rpartition(".")[0])
+            # all of them: those between may be folders without __init__.py
+            waiting += [name[: match.start()] for match in re.finditer(r"\.", name)]
             if path.suffix == ".py":
                 imports, texts = _told(read_bytes(path), name, path.stem == "__init__")
                 waiting += imports
@@ -205,7 +207,7 @@ def _file_of(name: str) -> Path | None:
     parts = name.split(".")
     for index in range(len(parts)):
         part = ".".join(parts[: index + 1])
-        spec = importlib.machinery.PathFinder.find_spec(part, path)
+        spec = _spec_of(part, path)
         if spec is None:
             return None
         locations = spec.submodule_search_locations
@@ -214,6 +216,15 @@ def _file_of(name: str) -> Path | None:
     if spec is None or not spec.has_location or spec.origin is None:
         return None
     return _place(Path(spec.origin))
+
+
+def _spec_of(name: str, path: Sequence[str] | None) -> importlib.machinery.ModuleSpec | None:
+    """Where a module is, below the folders of the package that it is in; None if nobody knows."""
+    # a folder without __init__.py asks for the modules above it, which nobody may have loaded
+    for asked in (name, name.rpartition(".")[2]):
+        with suppress(Exception):
+            return importlib.machinery.PathFinder.find_spec(asked, path)
+    return None
 
 
 def _place(file: Path) -> Path | None:

@@ -24,7 +24,14 @@ from pytest_cpas.evaluation import (
 from pytest_cpas.report.against import pairs
 from pytest_cpas.report.stored import read_runs
 from pytest_cpas.session.options import RunOptions
-from pytest_cpas.types import Dataset, DeclarationError, Method, MethodInfo, assets_of
+from pytest_cpas.types import (
+    ContractError,
+    Dataset,
+    DeclarationError,
+    Method,
+    MethodInfo,
+    assets_of,
+)
 
 __all__ = ["make_method", "open_results", "read_others", "resolve_runs"]
 
@@ -38,11 +45,11 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     :class:`pytest_cpas.evaluation.ResultsError`, :class:`OSError`.
     """
     _check_both_sides(options)
-    methods = [make_method(name, options.weights) for name in options.methods]
+    methods = [(name, make_method(name, options.weights)) for name in options.methods]
     datasets = [registry.open_dataset(name, options.data) for name in options.datasets]
     runs: list[Run] = []
-    for make, dataset in itertools.product(methods, datasets):
-        runs += _method_runs(make(), dataset, options)
+    for (name, make), dataset in itertools.product(methods, datasets):
+        runs += _method_runs(_made(name, make), dataset, options)
     runs += [
         StoredRun(path, selection=options.selection, protocols=options.protocols)
         for path in options.predictions
@@ -79,6 +86,18 @@ def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
             raise FileNotFoundError(f"{info.name} needs {error}") from None
     make: Callable[[], Method] = factory
     return make
+
+
+def _made(name: str, factory: Callable[[], Method]) -> Method:
+    """An instance; foreign code can raise anything while it is made, and exit or skip."""
+    try:
+        return factory()
+    except (ContractError, OSError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise registry.RegistryError(
+            f"method {name!r} cannot be made ({type(error).__name__}: {error})"
+        ) from error
 
 
 def open_results(options: RunOptions, runs: Sequence[Run]) -> dict[Run, ResultsFile]:

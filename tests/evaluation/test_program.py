@@ -121,6 +121,29 @@ def test_what_is_not_reached_does_not_count(project, name):
     assert code(project) == before
 
 
+@pytest.mark.parametrize(
+    "name", ["own_a/b/deep.py", "own_a/b/c/d/deep.py", "own_i/__init__.py", "own_i/n/m/deep.py"]
+)
+def test_folders_without_init_are_followed_at_any_depth(project, name):
+    files = ["own_a/b/deep.py", "own_a/b/c/d/deep.py", "own_i/__init__.py", "own_i/n/m/deep.py"]
+    for file in files:
+        (project / file).parent.mkdir(parents=True, exist_ok=True)
+        (project / file).write_text("")
+    with (project / "adapter.py").open("a") as adapter:
+        adapter.write("from own_a.b.deep import x\nimport own_a.b.c.d.deep, own_i.n.m.deep\n")
+    before = code(project)
+    (project / name).write_text("x = 1\n")
+    assert code(project) != before
+
+
+def test_what_importlib_raises_is_no_end(project, monkeypatch):
+    def raises(*_):
+        raise KeyError("sub")
+
+    monkeypatch.setattr(importlib.machinery.PathFinder, "find_spec", raises)
+    assert code(project) == UNKNOWN
+
+
 def test_place_does_not_count(project, tmp_path_factory, monkeypatch):
     before = code(project)
     other = tmp_path_factory.mktemp("other") / "place"

@@ -284,6 +284,26 @@ def test_usage_errors(cpas, pytester, monkeypatch, args, words):
     assert "Traceback" not in result.stderr.str()
 
 
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("raise SystemExit(0)", "(SystemExit: 0)"),
+        ("import pytest; pytest.skip('no', allow_module_level=True)", "(Skipped: no)"),
+        ("import pytest; pytest.exit('enough', returncode=0)", "(Exit: enough)"),
+        ("raise RuntimeError('no')", "(RuntimeError: no)"),
+    ],
+)
+def test_method_that_cannot_be_made_is_a_usage_error(cpas, pytester, code, words):
+    pytester.makepyfile(
+        unmade=f"import tiny\nclass M(tiny.Perfect):\n    def __init__(self): {code}\n"
+    )
+    result = pytester.runpytest_inprocess(
+        *RUN, "--cpas-method=unmade:M", "--cpas-dataset=tiny:Tiny"
+    )
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert f"method 'unmade:M' cannot be made {words}" in result.stderr.str()
+
+
 #: Options that start something, or that a project may keep for tests of its own.
 FREE = {
     "--cpas-method",
