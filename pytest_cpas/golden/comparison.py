@@ -175,6 +175,9 @@ class _Spread:
         told: dict[Word, list[str]] = {
             word: [] for word in (Word.REGRESSED, Word.CHANGED, Word.PROBABLY_WORSE, Word.IMPROVED)
         }
+        if answered := pairing.answered:
+            word = Word.REGRESSED if answered.lost else Word.IMPROVED
+            told[word] += pairing.told(None, answered)
         for index, column in enumerate(self.columns):
             flips = pairing.flips(column)
             if flips.not_applicable:

@@ -4,8 +4,9 @@ agree."""
 from __future__ import annotations
 
 import bisect
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from scipy.special import bdtr
@@ -47,7 +48,7 @@ class Exact:
         """The verdict on a category."""
         flipped = [(flips, column) for column in self.columns if (flips := pairing.flips(column))]
         ties: list[tuple[Flips, SharedColumn]] = []
-        changes = flipped
+        changes: list[tuple[Flips, SharedColumn | None]] = [*flipped]
         if not may_not_move(self.golden, self.new, pairing.category):
             real = [(pairing.without_ties(column, flips), column) for flips, column in flipped]
             changes = [(flips, column) for flips, column in real if flips]
@@ -55,10 +56,17 @@ class Exact:
                 (_difference(every, flips), column)
                 for (every, column), (flips, _) in zip(flipped, real, strict=True)
             ]
+        if answered := pairing.answered:
+            changes.append((answered, None))
         changes.sort(key=lambda change: change[0].net)  # what fell most stands first
-        lines = _told_once(pairing, changes)
-        rankings = list(ranking_changes(self.golden, self.new, pairing.category))
-        lines += [line for change in rankings for line in change.lines]
+        rankings = sorted(
+            ranking_changes(self.golden, self.new, pairing.category), key=lambda each: each.gain
+        )
+        lines: list[str] = []
+        for worse in (True, False):  # all losses stand before what is no loss
+            lines += _told_once(pairing, [each for each in changes if (each[0].net < 0) is worse])
+            told = (each.lines for each in rankings if (each.gain < 0) is worse)
+            lines += itertools.chain.from_iterable(told)
         lines += pairing.other_samples
         if wavering := [name for name in pairing.both if pairing.new[name].wavers]:
             lines.append(
@@ -73,8 +81,8 @@ class Exact:
                 or self._borderline(pairing, ties, [*drift, *notes])
                 or _unchanged(pairing, drift)
             )
-        worse = [flips.net for flips, _ in changes] + [change.gain for change in rankings]
-        if worse and min(worse) < 0:
+        gains = [flips.net for flips, _ in changes] + [change.gain for change in rankings]
+        if gains and min(gains) < 0:
             return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *drift, *notes]))
         only_gains = (
             not (pairing.other_samples or wavering)
@@ -167,7 +175,7 @@ class Exact:
         return Verdict(word, pairing.category, "\n  ".join([*lines, *notes]))
 
 
-def _told_once(pairing: Pairing, changes: Sequence[tuple[Flips, SharedColumn]]) -> list[str]:
+def _told_once(pairing: Pairing, changes: Iterable[tuple[Flips, SharedColumn | None]]) -> list[str]:
     """The flips of columns in words; samples that flipped in several are named once."""
     alike: dict[tuple[tuple[str, ...], ...], list[list[str]]] = {}
     for flips, column in changes:

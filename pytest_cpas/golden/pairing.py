@@ -129,6 +129,34 @@ class Pairing:
             not_applicable=names["-"],
         )
 
+    @property
+    def answered(self) -> Flips:
+        """Which samples are answered in one table, and not under all seeds of the other.
+
+        No flips are told where the recorded seeds of a sample disagree about that: failures that
+        come and go are judged by the ranks of facts.
+        """
+        answered = {
+            name: tuple(
+                [answer.failure is None for answer in table[name].answers]
+                for table in (self.old, self.new)
+            )
+            for name in self.both
+        }
+        before, after = (
+            _Share(sum(all(seeds[which]) for seeds in answered.values()), len(answered))
+            for which in (0, 1)
+        )
+        agree = all(all(old) or not any(old) for old, _ in answered.values())
+        told = answered if agree else {}
+        return Flips(
+            before=before,
+            after=after,
+            lost=[name for name, (old, new) in told.items() if all(old) and not all(new)],
+            gained=[name for name, (old, new) in told.items() if not any(old) and all(new)],
+            not_applicable=[],
+        )
+
     def without_ties(self, shared: SharedColumn, flips: Flips) -> Flips:
         """The flips of samples of which a fact moved by more than its tolerance."""
 
@@ -145,9 +173,11 @@ class Pairing:
             gained=list(filter(moved, flips.gained)),
         )
 
-    def told(self, shared: SharedColumn, flips: Flips, remark: str = "") -> list[str]:
-        """The flips in a column in words, the samples named."""
-        lines = [f"{shared.label}: {flips.counts} correct{remark}"]
+    def told(self, shared: SharedColumn | None, flips: Flips, remark: str = "") -> list[str]:
+        """The flips in a column in words, the samples named; without one, those of
+        :attr:`answered`."""
+        head = f"{shared.label}: {flips.counts} correct" if shared else f"answered: {flips.counts}"
+        lines = [f"{head}{remark}"]
         for what, names in (
             ("lost", flips.lost),
             ("gained", flips.gained),
