@@ -31,6 +31,7 @@ _NOT_PLATFORM = (
     "code",
     "data_code",
     "conftest",
+    "plugins",
     "revision",
     "deterministic",
     "weights_folder",

@@ -26,6 +26,7 @@ from pytest_cpas.evaluation import (
     Row,
     Run,
     found_programs,
+    is_installed,
     leave_out,
     take_programs,
 )
@@ -63,14 +64,25 @@ ITEM_RESULT = pytest.StashKey[ItemResult]()
 _PROGRAMS = "cpas_programs"
 
 
-def _conftests(config: pytest.Config) -> dict[str, str]:
-    """A digest of the conftest.py files of a run, which can change what a method answers."""
-    plugins = (getattr(plugin, "__file__", None) for plugin in config.pluginmanager.get_plugins())
-    files = sorted({Path(file) for file in plugins if file and Path(file).name == "conftest.py"})
-    if not files:
-        return {}
-    contents = "".join(sha256(file) for file in files if file.is_file())
-    return {"conftest": hashlib.sha256(contents.encode()).hexdigest()[:16]}
+def _plugins(config: pytest.Config) -> dict[str, str]:
+    """Digests of the conftest.py files of a run, and of other plugins that are not installed: they
+    can change what a method answers."""
+    found: dict[str, set[Path]] = {"conftest": set(), "plugins": set()}
+    for plugin in config.pluginmanager.get_plugins():
+        file = getattr(plugin, "__file__", None)
+        own = str(getattr(plugin, "__name__", "")).partition(".")[0] == "pytest_cpas"
+        if not file or own:
+            continue
+        if Path(file).name == "conftest.py":
+            found["conftest"].add(Path(file))
+        elif not is_installed(Path(file)):
+            found["plugins"].add(Path(file))
+    digests = {}
+    for kind, files in found.items():
+        if files:
+            contents = "".join(sha256(file) for file in sorted(files) if file.is_file())
+            digests[kind] = hashlib.sha256(contents.encode()).hexdigest()[:16]
+    return digests
 
 
 class CpasSession(SuiteSession):
@@ -108,10 +120,10 @@ class CpasSession(SuiteSession):
             )
             leave_out(options.folders)
             runs = resolve_runs(options)
-            conftests = _conftests(config)
+            plugins = _plugins(config)
             for run in runs:
                 if isinstance(run, MethodRun):
-                    run.provenance = {**run.provenance, **conftests}
+                    run.provenance = {**run.provenance, **plugins}
             files = open_results(options, runs)
             self.stages = contract_stages(runs)
             others = read_others(options, runs) if self.is_controller else []

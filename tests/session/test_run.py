@@ -452,3 +452,14 @@ def test_golden_folder_can_be_named(recorded, pytester):
     assert recorded("Perfect", "--cpas-require-golden", "--cpas-golden=elsewhere").ret == 0
     pytester.makeini("[pytest]\ncpas_golden = elsewhere")
     assert recorded("Perfect", "--cpas-require-golden").ret == 0
+
+
+def test_plugin_that_is_not_installed_is_part_of_the_program(cpas, pytester):
+    args = ("-p", "plg", "--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny")
+    pytester.syspathinsert()
+    said = []
+    for content in ("x = 1\n", "x = 1\n", "x = 22\n"):
+        pytester.makepyfile(plg=content)
+        result = pytester.runpytest_inprocess(*RUN, *args, "--cpas-results=res")
+        said.append("plugins was " in result.stdout.str())
+    assert said == [False, False, True]
