@@ -37,9 +37,10 @@ def demo(session: nox.Session) -> None:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """The project's own tests."""
+    """The project's own tests, but those that take minutes, which ``ports`` runs."""
     install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
-    session.run("pytest", "--numprocesses=2", *session.posargs, env=ENV)
+    quick = ("-m", "not minutes")
+    session.run("pytest", "--numprocesses=2", *quick, *session.posargs, env=ENV)
 
 
 @nox.session

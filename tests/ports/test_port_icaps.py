@@ -247,6 +247,7 @@ def test_refinement_finds_the_pose():
     check_refinement()
 
 
+@pytest.mark.minutes
 def test_float_noise_is_within_what_is_declared():
     """What threads change in the last digits grows in the refinement, but not further."""
     random = np.random.default_rng(1)
@@ -419,6 +420,7 @@ def check_belief(truth):
     assert 0.7 < belief.radius / UNIT < 1.1
 
 
+@pytest.mark.minutes
 def test_belief_far_from_the_axis(truth):
     check_belief(truth)
 
@@ -455,6 +457,7 @@ def check_path(predictions, truth):
         np.testing.assert_allclose(found.translation, translation, atol=0.008)
 
 
+@pytest.mark.minutes
 def test_tracking(truth, frames):
     """Along an arc every pose is found; the shape stays, and is estimated once."""
     method = icaps_cases.method()
@@ -518,6 +521,7 @@ def shape_not_followed(patch):
     patch(Refiner, "follow", lambda self, points, placed, shape: placed)
 
 
+@pytest.mark.minutes
 @pytest.mark.parametrize("plant", [forgotten, shape_not_followed])
 def test_planted_fault_in_tracking_is_found(monkeypatch, plant, truth, frames):
     method = icaps_cases.method()
