@@ -50,7 +50,7 @@ class Program:
     ``code``: a digest of its sources, or :data:`UNKNOWN`; ``packages``: name and version of the
     distributions that they import; ``revision``: that of the git repository they are in, with
     ``+`` if it has changes, or ""; ``files``: a digest of each source, and of each file around them
-    that may be code or settings, by name.
+    that may be run or read, by name.
     """
 
     code: str

@@ -2,7 +2,7 @@
 
 A method may execute a file, run it in another process, load a library by its path, read a table of
 settings, or put a folder on ``sys.path`` while it runs. No import tells of that, so all files count
-that may be code or settings: those below the folder of the project that a module is in, those of
+that it may run or read: those below the folder of the project that a module is in, those of
 the distributions that are its own, and the files and folders that its text names. What is left out,
 and where looking ends, is in docs/lab.md.
 """
@@ -36,6 +36,13 @@ _CODE = re.compile(
 _READ = re.compile(
     r".*\.(json5?|ya?ml|toml|ini|cfg|conf|gin|env|xml|prototxt|pbtxt|np[yz]|pkl|pickle|pth?|ckpt|onnx"
     rf"|h5|hdf5|safetensors|mat|joblib|bin)|{_CODE.pattern}",
+    re.IGNORECASE | re.DOTALL,
+)
+
+#: What tells of a program, or grows while it runs, and is read by none, unless its text names it.
+_TELLS = re.compile(
+    r"\..*|.*~|.*\.(md|rst|log|out|err|jsonl|lock|old|orig|bak|tmp|sw[op]|part)"
+    r"|(.*[^a-z])?logs?(\.txt)?|(readme|licen[cs]e|copying|changelog|changes|notice)(\.txt)?",
     re.IGNORECASE | re.DOTALL,
 )
 
@@ -140,8 +147,7 @@ class _Look:
         if (root, only_code) in self._seen:
             return
         self._seen.add((root, only_code))
-        kinds = _CODE if only_code else _READ
-        entries = files = 0
+        entries = files = others = 0
         level = [root]
         while level:
             below = []
@@ -155,9 +161,15 @@ class _Look:
                     path = Path(entry.path)
                     if _is_folder(entry):
                         below += [path] if self._is_entered(path) else []
-                    elif kinds.fullmatch(path.name) and self._counts(path) and _is_file(entry):
+                    elif not self._counts(path) or not _is_file(entry):
+                        continue
+                    elif (_CODE if only_code else _READ).fullmatch(path.name):
                         self.name(path, within or root)
                         files += 1
+                    elif others < _MOST_FILES and self._is_read(path):
+                        # they take no place from code and settings
+                        self.name(path, within or root)
+                        others += 1
                 if entries > _MOST_ENTRIES or files > _MOST_FILES:
                     return
             level = [] if root in _everybodys() else below
@@ -178,8 +190,7 @@ class _Look:
 
     def _at_name(self, path: Path, text: str) -> None:
         if path.is_file():
-            if _READ.fullmatch(path.name):
-                self.found.setdefault(path.resolve(), text)
+            self.found.setdefault(path.resolve(), text)
         elif path.is_dir():
             path = path.resolve()
             if self._is_entered(path) and path not in _everybodys():
@@ -189,7 +200,8 @@ class _Look:
         """Take in what counts of the files that were installed with a distribution."""
         for file in importlib.metadata.files(name) or ():
             path = Path(str(file.locate()))
-            if _READ.fullmatch(path.name) and _NEVER.isdisjoint(file.parts) and path.is_file():
+            counts = _READ.fullmatch(path.name) or self._is_read(path)
+            if counts and _NEVER.isdisjoint(file.parts) and path.is_file():
                 self.found.setdefault(path.resolve(), file.as_posix())
 
     def _is_entered(self, folder: Path) -> bool:
@@ -199,6 +211,10 @@ class _Look:
         if name.startswith(".") or name in _NEVER or folder in _left_out:
             return False
         return name not in _ASIDE or name in self._words
+
+    def _is_read(self, path: Path) -> bool:
+        """Whether a file that is neither code nor settings by its name may be read by code."""
+        return path.name in self._words or not _TELLS.fullmatch(path.name)
 
     def _counts(self, path: Path) -> bool:
         return path in self._own or path.name in self._words or not _TOOLS.fullmatch(path.name)
@@ -257,7 +273,9 @@ def digests_of(files: Mapping[Path, str]) -> dict[str, str]:
     sizes = {path: size for path in files if (size := _size(path)) is not None}
     digests = defaultdict(list)
     total = 0
-    for path in sorted(sizes, key=lambda path: (sizes[path], files[path])):
+    for path in sorted(
+        sizes, key=lambda path: (not _READ.fullmatch(path.name), sizes[path], files[path])
+    ):
         total += min(sizes[path], _WHOLE)
         told = f"{sizes[path]} bytes" if total > _ALL else _digest(path, sizes[path])
         digests[files[path]].append(told)

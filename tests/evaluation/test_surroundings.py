@@ -109,6 +109,13 @@ COUNTS = {
     "model.py": True,
     "lib/libops.so.1.2": True,
     "weights/model.pt": True,
+    "priors/mean.ply": True,
+    "priors/mean.csv": True,
+    "priors/mean.json.gz": True,
+    "priors/mean.png": True,
+    "scripts/tool": True,
+    "modefile": True,
+    "mean.txt": True,
     "third_party/tests/model.py": False,
     "tests/model.py": False,
     "docs/conf.py": False,
@@ -179,6 +186,28 @@ def test_what_is_named_elsewhere_counts(project, tmp_path_factory, named):
     write(other / "model.py", "2")
     after = a_run(project, method).files
     assert "model.py" in "; ".join(surroundings.changes(before, after))
+
+
+@pytest.mark.parametrize("name", ["code.txt", "mode", "m/mode.csv"])
+def test_a_file_of_any_name_that_is_named_elsewhere_counts(project, tmp_path_factory, name):
+    other = tmp_path_factory.mktemp("elsewhere")
+    at = other if "/" in name else other / name
+    method = f"import tiny\nclass Mine(tiny.Perfect): at = {str(at)!r}\n"
+    seen = []
+    for content in ("1", "2"):
+        write(other / name, content)
+        seen.append(a_run(project, method).files)
+    assert name in "; ".join(surroundings.changes(*seen))
+
+
+def test_tables_take_no_place_from_code(project, monkeypatch):
+    monkeypatch.setattr(surroundings, "_MOST_FILES", 10)
+    for index in range(40):
+        write(project / "near" / f"{index}.png", "")
+    write(project / "far" / "away" / "model.py", "")
+    names = a_run(project).files
+    assert "far/away/model.py" in names
+    assert sum(name.endswith(".png") for name in names) == 10
 
 
 def test_the_whole_repository_counts(project):
