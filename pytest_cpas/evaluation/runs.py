@@ -33,8 +33,9 @@ from pytest_cpas.types.samples import evenly
 __all__ = ["Run", "SampleError", "Selection"]
 
 
-#: Facts that every run measures: what is said of a sample in words.
-_POSE = ("position_m", "rotation_deg")
+#: Facts that every run measures, whatever its protocols need: of the pose, of the box and of the
+#: shape, so that a golden table guards everything that a method gives.
+_ALWAYS = ("position_m", "rotation_deg", "iou", "fscore_1cm")
 
 
 def kernels() -> str:
@@ -131,7 +132,7 @@ class Run(ABC):
             *count_columns(self.protocols),
             *score_columns(self.protocols),
         )
-        self.facts = tuple(in_order((*_POSE, *facts_of(of_samples))))
+        self.facts = tuple(in_order((*_ALWAYS, *facts_of(of_samples))))
         ranked = facts_of(ranking_columns(self.protocols))
         self.definitions = {
             name: fact(name).definition for name in in_order((*self.facts, *ranked))

@@ -7,7 +7,7 @@ from tables import REFS, Fixed
 
 from pytest_cpas.evaluation import Answer, Row
 from pytest_cpas.facts import fact
-from pytest_cpas.golden import RunTable, Word, compare
+from pytest_cpas.golden import RunTable, Word, compare, read_golden, record
 from pytest_cpas.protocols import RankedDetection, Ranking, shipped_protocol, shipped_protocols
 
 MUGS = [ref.id for ref in REFS if ref.category == "mug"]
@@ -73,6 +73,39 @@ def test_who_fails_where_outcomes_vary_by_seed():
     assert (told["mug"].word, told["all"].word) == (Word.REGRESSED, Word.REGRESSED)
     assert f"answered: 5 -> 4 of 5\n      lost: {MUGS[0]}" in told["mug"].details
     assert told["can"].word is not Word.REGRESSED
+
+
+@pytest.mark.parametrize("protocol", SHIPPED)
+@pytest.mark.parametrize("name", ["iou", "fscore_1cm"])
+def test_box_and_shape_are_guarded_under_every_protocol(protocol, name):
+    golden, moved = table(protocol), table(protocol, **{name: 0.99})
+    can, mug = compare(golden, moved)
+    assert (can.word, mug.word) == (Word.CHANGED, Word.CHANGED)
+    assert f"{name} moved in 5 of 5 samples" in mug.details
+
+
+@pytest.mark.parametrize("protocol", SHIPPED)
+def test_a_table_that_lacks_box_and_shape_is_compared_without(protocol, tmp_path):
+    golden = table(protocol)
+    needed = {made.name for each in golden.protocols for c in each.columns for made in c.facts}
+    extra = {"iou", "fscore_1cm"} - needed
+    golden = replace(
+        golden,
+        definitions={k: v for k, v in golden.definitions.items() if k not in extra},
+        samples={
+            name: replace(
+                sample,
+                answers=tuple(
+                    replace(a, facts={k: v for k, v in a.facts.items() if k not in extra})
+                    for a in sample.answers
+                ),
+            )
+            for name, sample in golden.samples.items()
+        },
+    )
+    golden = read_golden(record(tmp_path, golden))
+    moved = table(protocol, **dict.fromkeys(extra, 0.99))
+    assert {verdict.word for verdict in compare(golden, moved)} == {Word.MATCHES}
 
 
 def test_losses_stand_before_gains():
