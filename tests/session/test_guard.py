@@ -444,6 +444,7 @@ def started(ends, pytester):
             start_new_session=True,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
+            preexec_fn=_hears,
             **options,
         )
         processes.append(process)
@@ -456,6 +457,12 @@ def started(ends, pytester):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         process.stdout.close()
+
+
+def _hears():
+    """What a shell runs in the background, or nohup, ignores these, and so would the run."""
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def _until(happened):
