@@ -553,6 +553,7 @@ def terminal(ends, pytester):
         shell = pytester.makepyfile(shell=SHELL)
         pid, screen = pty.fork()
         if not pid:
+            _hears()
             os.chdir(pytester.path)
             os.execv(sys.executable, [sys.executable, shell, *RUN, *NAMES, "--color=no", *args])
         text, since = "", 0
