@@ -69,12 +69,17 @@ class Shifts:
             weights[1 + index, 1 + index * len(nodes) :][: len(nodes)] = nodes
         return weights
 
-    def log_likelihood(self, totals: Array, independent: float) -> Array:
-        """Per size, 0 first: how well it explains what K seeds gave in all, (K,).
+    def log_likelihood(self, values: NDArray[np.generic]) -> Array:
+        """Per size, 0 first: how well it explains what K seeds gave of n samples, (n, K), in all.
 
-        Without shifts, the squared deviations have K - 1 degrees of freedom and the variance
-        ``independent``, that of independent samples; with shifts it is larger.
+        Without shifts, the squared deviations of the totals have K - 1 degrees of freedom and the
+        variance of independent samples; with shifts it is larger. 0 where no sample varies.
         """
+        seeds = values.shape[1]
+        totals = values.sum(axis=0)
+        independent = float(values.var(axis=1).sum()) * seeds / max(seeds - 1, 1)
+        if not independent:
+            return np.zeros(1 + len(self.sizes))
         excess = 1 + np.array([0.0, *self.sizes]) ** 2 * independent
         squares = float(((totals - totals.mean()) ** 2).sum()) / independent
         log: Array = -((len(totals) - 1) * np.log(excess) + squares / excess) / 2

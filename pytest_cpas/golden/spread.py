@@ -309,24 +309,17 @@ def _shifts(answers: Answers, scopes: Sequence[str]) -> Array:
 
     Thresholds are much alike: their logarithms are averaged.
     """
-    seeds, columns = answers.recorded.shape[1:]
+    columns = answers.recorded.shape[2]
     log = np.zeros(1 + len(_SHIFTS.sizes))
     for scope, column in itertools.product(scopes, range(columns)):
         recorded, _ = answers.of(scope, column)
-        independent = float(recorded.var(axis=1).sum()) * seeds / max(seeds - 1, 1)
-        if independent:
-            log += _SHIFTS.log_likelihood(recorded.sum(axis=0), independent) / columns
+        log += _SHIFTS.log_likelihood(recorded) / columns
     return _SHIFTS.posterior(log)
 
 
 def _fact_shifts(answers: Answers, name: str, scopes: Iterable[str]) -> Array:
     """The same of a fact."""
-    moves = answers.facts[name]
-    seeds = moves.recorded.shape[1]
     log = np.zeros(1 + len(SHIFTS.sizes))
     for scope in scopes:
-        luck = moves.luck[answers.among(scope)]
-        independent = float(luck.var(axis=1).sum()) * seeds / max(seeds - 1, 1)
-        if independent:
-            log += SHIFTS.log_likelihood(luck.sum(axis=0), independent)
+        log += SHIFTS.log_likelihood(answers.facts[name].luck[answers.among(scope)])
     return SHIFTS.posterior(log)

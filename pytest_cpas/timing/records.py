@@ -27,6 +27,7 @@ from pytest_cpas.timing.intervals import (
     relative_to_others,
 )
 from pytest_cpas.types import ToldError, shown
+from pytest_cpas.types._arrays import MAX, checked_number
 
 FORMAT = 1
 
@@ -112,10 +113,10 @@ class SpeedRecord:
 
 
 def _positive(name: str, values: Mapping[str, object]) -> dict[str, float]:
-    for key, value in values.items():
-        if type(value) not in (int, float) or not 0 < value < math.inf:  # type: ignore[operator]
-            raise ValueError(f"{name}: {shown(key)} is {shown(value)}, expected a positive number")
-    return {key: float(value) for key, value in values.items()}  # type: ignore[arg-type]
+    return {
+        key: checked_number(value, f"{name}, {shown(key)}", math.ulp(0.0), MAX)
+        for key, value in values.items()
+    }
 
 
 def _texts(name: str, values: Mapping[str, object]) -> dict[str, str]:

@@ -3,12 +3,12 @@
 import csv
 import io
 from dataclasses import astuple
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from report_schema import follow_schema
 from tables import CPAS, Fixed, a_row
+from told_lines import told
 
 from pytest_cpas.golden import RunTable, compare_published
 from pytest_cpas.golden.published import PublishedCell
@@ -20,7 +20,6 @@ from pytest_cpas.report.intervals import interval_note, interval_table
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
 from pytest_cpas.report.rejudged import rejudged
-from pytest_cpas.report.terminal import Terminal, print_run
 from pytest_cpas.types import SampleRef
 
 SEVERAL = (*CPAS, shipped_protocol("omni6dpose"))
@@ -58,17 +57,6 @@ def a_document(scenes: int = 6, golden: RunTable | None = None, wrong: int = 20)
     content = document([run_document(run, table, golden=golden)], 0, SEVERAL)
     follow_schema(content)
     return content
-
-
-def told(content: dict) -> list[str]:
-    shown: list[str] = []
-    reporter = SimpleNamespace(
-        config=SimpleNamespace(get_verbosity=lambda: 0),
-        section=lambda title, **_: None,
-        write_line=lambda line, **_: shown.append(line),
-    )
-    print_run(Terminal(reporter), content["runs"][0], "computed")
-    return shown
 
 
 def words_of(entry: dict) -> list[str]:

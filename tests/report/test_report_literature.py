@@ -2,7 +2,6 @@
 
 import csv
 import io
-from types import SimpleNamespace
 
 import pytest
 from pages import Page
@@ -10,6 +9,7 @@ from report_schema import follow_schema
 from tables import CPAS, REFS, Fixed, rows
 from test_report_export import tables
 from test_report_protocols import markdown_tables
+from told_lines import told
 
 from pytest_cpas.golden import RunTable
 from pytest_cpas.golden.literature import literature
@@ -19,7 +19,6 @@ from pytest_cpas.report.export import precision_tex, scores_csv
 from pytest_cpas.report.literature import REMARK, literature_table, nearest, printed_rows
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
-from pytest_cpas.report.terminal import Terminal, print_run
 
 BOTH = (*CPAS, shipped_protocol("nocs-legacy"))
 COLUMNS = len(BOTH[1].columns)
@@ -41,18 +40,6 @@ def a_document(dataset="real275", protocols=BOTH, ranking=half_right) -> dict:
     content = document([run_document(run, RunTable.of(run, rows()))], 0, protocols)
     follow_schema(content)
     return content
-
-
-def told(content: dict) -> list[str]:
-    """What the terminal shows of the run."""
-    shown: list[str] = []
-    reporter = SimpleNamespace(
-        config=SimpleNamespace(get_verbosity=lambda: 0),
-        section=lambda title, **_: None,
-        write_line=lambda line, **_: shown.append(line),
-    )
-    print_run(Terminal(reporter), content["runs"][0], "computed")
-    return shown
 
 
 def test_document_has_the_printed_lines_of_the_data_set():
