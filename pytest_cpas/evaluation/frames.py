@@ -5,6 +5,7 @@ Arrays have the field's keys; boxes are y1, x1, y2, x2 in pixels, poses 4 x 4.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -20,7 +21,7 @@ from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import CATEGORIES, DataError
 
-__all__ = ["REQUIRED", "Frame", "assign_detections", "read_frames"]
+__all__ = ["REQUIRED", "Frame", "assign_detections", "detection_order", "read_frames"]
 
 #: A detection belongs to a ground truth if their 2-D boxes overlap at least this much.
 DETECTION_IOU = 0.5
@@ -191,17 +192,34 @@ def _class_ids(ids: NDArray[Any], where: str) -> NDArray[Any]:
     return ids.astype(np.int64)
 
 
+def detection_order(frame: Frame) -> NDArray[np.int64]:
+    """The rows of a frame's detections, (n,), in an order that is none of the file: the surest
+    first, those that are equally sure by their other numbers."""
+    count = len(frame["pred_class_ids"])
+    keys = ("pred_scores", "pred_class_ids", "pred_bboxes", "pred_RTs", "pred_scales")
+    columns = [
+        frame[key].reshape(count, math.prod(_SHAPES[key])).astype(float)
+        for key in keys
+        if key in frame
+    ]
+    if "pred_scores" in frame:
+        columns[0] = -columns[0]
+    return np.lexsort(np.concatenate(columns, axis=1).T[::-1])
+
+
 def assign_detections(frame: Frame) -> NDArray[np.int64]:
     """Which detection each ground truth gets, (n,), -1 for none.
 
     Per class, one to one, by descending 2-D box IoU (boxes are y1, x1, y2, x2 in pixels), at
-    least ``DETECTION_IOU``; ties go to the first.
+    least ``DETECTION_IOU``; ties go to the first ground truth, and in the order of
+    :func:`detection_order`.
     """
+    order = detection_order(frame)
     assigned = np.full(len(frame["gt_class_ids"]), -1)
     if not len(assigned) or not len(frame["pred_class_ids"]):
         return assigned
     truth = frame["gt_bboxes"][:, None].astype(float)
-    found = frame["pred_bboxes"][None].astype(float)
+    found = frame["pred_bboxes"][order][None].astype(float)
     overlap = np.minimum(truth[..., 2:], found[..., 2:]) - np.maximum(
         truth[..., :2], found[..., :2]
     )
@@ -209,12 +227,12 @@ def assign_detections(frame: Frame) -> NDArray[np.int64]:
     areas = [(boxes[..., 2:] - boxes[..., :2]).prod(axis=-1) for boxes in (truth, found)]
     union = areas[0] + areas[1] - common
     iou = np.divide(common, union, out=np.zeros_like(common), where=union > 0)
-    iou[frame["gt_class_ids"][:, None] != frame["pred_class_ids"][None]] = 0
+    iou[frame["gt_class_ids"][:, None] != frame["pred_class_ids"][order][None]] = 0
     taken = np.zeros(iou.shape[1], dtype=bool)
     near = np.flatnonzero(iou >= DETECTION_IOU)
     for flat in near[np.argsort(-iou.ravel()[near], kind="stable")].tolist():
         row, column = divmod(flat, iou.shape[1])
         if assigned[row] < 0 and not taken[column]:
-            assigned[row] = column
+            assigned[row] = order[column]
             taken[column] = True
     return assigned

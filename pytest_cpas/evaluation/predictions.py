@@ -17,7 +17,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.evaluation.frames import REQUIRED, Frame, assign_detections, read_frames
+from pytest_cpas.evaluation.frames import (
+    REQUIRED,
+    Frame,
+    assign_detections,
+    detection_order,
+    read_frames,
+)
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
@@ -68,6 +75,16 @@ def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Array, Arr
     return scaled[:3, :3] / scale, scaled[:3, 3], extents
 
 
+def _digest_of_truths(frames: Mapping[str, Frame]) -> str:
+    """That of the ground truth of all frames, whatever their order in the file."""
+    digest = hashlib.sha256()
+    for name in sorted(frames):
+        for key in REQUIRED:
+            if key.startswith("gt"):
+                digest.update(np.ascontiguousarray(frames[name][key]).tobytes())
+    return digest.hexdigest()
+
+
 class StoredRun(Run):
     """Stored predictions, judged like the run of a method."""
 
@@ -83,7 +100,6 @@ class StoredRun(Run):
         self._places: dict[str, tuple[str, int]] = {}
         #: The truths of samples that were judged, which are not made twice.
         self._truths: dict[str, GroundTruth] = {}
-        digest = hashlib.sha256()
         samples = []
         for name, frame in read_frames(path):
             if not name:
@@ -92,9 +108,6 @@ class StoredRun(Run):
             if name in self._frames:
                 raise DataError(f"{path}: frame {name} occurs twice")
             self._frames[name] = frame
-            for key in REQUIRED:
-                if key.startswith("gt"):
-                    digest.update(np.ascontiguousarray(frame[key]).tobytes())
             for index, class_id in enumerate(frame["gt_class_ids"].tolist()):
                 ref_id = f"{scene}/{number}/gt{index}" if scene else f"{number}/gt{index}"
                 try:
@@ -112,7 +125,7 @@ class StoredRun(Run):
             STORED,
             samples,
             selection=selection,
-            identity={"data": digest.hexdigest()},
+            identity={"data": _digest_of_truths(self._frames)},
             protocols=protocols,
         )
         self.info: MethodInfo = MethodInfo(
@@ -146,20 +159,28 @@ class StoredRun(Run):
             "pred_scores" not in frame for frame in self._frames.values()
         ):
             return None
-        detected = [
-            Detected(
-                name=f"{name}/{index}",
-                image=name,
-                category=CATEGORIES[class_id - 1],
-                score=float(frame["pred_scores"][index]),
-                hypothesis=self._hypothesis(name, index),
-            )
-            for name, frame in self._frames.items()
-            for index, class_id in enumerate(frame["pred_class_ids"].astype(int).tolist())
-        ]
+        detected = [each for name in self._frames for each in self._detected(name)]
         truths = [(self._places[ref.id][0], ref.category, self.truth(ref)) for ref in self.samples]
         pairs = pair_table(facts_of(columns), detected, truths, self.info.gives)
         return rank(columns, pairs)
+
+    def _detected(self, name: str) -> Iterator[Detected]:
+        """The detections of a frame, whatever their order in the file: each is called by its frame,
+        its category and its 2-D box in whole pixels, those that share all three are numbered."""
+        frame = self._frames[name]
+        called: Counter[str] = Counter()
+        for index in detection_order(frame).tolist():
+            category = CATEGORIES[int(frame["pred_class_ids"][index]) - 1]
+            box = "_".join(f"{pixel:.0f}" for pixel in frame["pred_bboxes"][index].tolist())
+            own = f"{name}/{category}/{box}"
+            called[own] += 1
+            yield Detected(
+                name=own if called[own] == 1 else f"{own}+{called[own]}",
+                image=name,
+                category=category,
+                score=float(frame["pred_scores"][index]),
+                hypothesis=self._hypothesis(name, index),
+            )
 
     def _hypothesis(self, name: str, index: int) -> Hypothesis | None:
         """A detection of a frame in the standard frames; None where its pose is none."""

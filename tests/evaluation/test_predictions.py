@@ -7,6 +7,7 @@ import pytest
 
 from pytest_cpas.evaluation import SampleError
 from pytest_cpas.evaluation.predictions import StoredRun, assign_detections, read_frames
+from pytest_cpas.golden import RunTable, Word, compare
 from pytest_cpas.protocols import PAPER, count_columns, judge_outcomes, shipped_protocol
 from pytest_cpas.types import ContractError
 
@@ -90,9 +91,9 @@ def test_detections_are_assigned_by_descending_box_iou():
     content = frame(
         gt_class_ids=np.array([6, 6]),
         gt_bboxes=boxes,
-        pred_class_ids=np.array([6, 6]),
-        pred_bboxes=found,
+        **{key: value[:2] for key, value in frame().items() if key.startswith("pred")},
     )
+    content |= {"pred_class_ids": np.array([6, 6]), "pred_bboxes": found}
     assert assign_detections(content).tolist() == [1, 0]
     content["pred_class_ids"] = np.array([6, 2])  # another class is no candidate
     assert assign_detections(content).tolist() == [0, -1]
@@ -176,6 +177,63 @@ def test_npz_and_folder_of_pickles_are_the_same(tmp_path, path):
     assert pickles.samples == npz.samples
     assert pickles.identity == npz.identity
     assert [pickles.judge(r) for r in pickles.samples] == [npz.judge(r) for r in npz.samples]
+
+
+def crowded(rng, **changed):
+    """Two mugs and a bowl, each found several times: equally sure, in one and the same box."""
+    content = frame()
+    rows = np.array([0, 0, 0, 1, 1, 2, 2])
+    for key in ("pred_class_ids", "pred_bboxes", "pred_RTs", "pred_scales"):
+        content[key] = content[key][rows].copy()
+    content["pred_scores"] = np.array([0.9, 0.9, 0.9, 0.9, 0.5, 0.7, 0.7])
+    content["pred_RTs"][:, :3, 3] += rng.normal(0, 0.02, (7, 3))
+    return content | changed
+
+
+def in_order(content, side, order):
+    return {k: v[order] if k.startswith(side) else v for k, v in content.items()}
+
+
+def ranked(folder, frames):
+    """The table of frames under the protocols that rank detections."""
+    folder.mkdir()
+    as_npz(folder / "mine.npz", list(frames), list(frames.values()))
+    protocols = [shipped_protocol(name) for name in (PAPER, "nocs", "nocs-legacy")]
+    return RunTable.of(StoredRun(folder / "mine.npz", protocols=protocols))
+
+
+def test_order_of_detections_and_frames_means_nothing(tmp_path):
+    """Also where scores are equal, and where a ground truth has several detections of one box."""
+    rng = np.random.default_rng(3)
+    frames = {f"scene_1_{i:04d}": crowded(rng) for i in range(6)}
+    golden = ranked(tmp_path / "golden", frames)
+    assert len({d.outcome for d in golden.ranking.detections.values()}) > 2
+    for trial in range(4):
+        shuffled = {
+            name: in_order(frames[name], "pred", rng.permutation(7))
+            for name in rng.permutation(list(frames)).tolist()
+        }
+        new = ranked(tmp_path / f"shuffled{trial}", shuffled)
+        assert new.ranking == golden.ranking
+        assert new.scores == golden.scores
+        assert new.samples == golden.samples
+        verdicts = compare(golden, new)
+        assert [v.word for v in verdicts] == [Word.MATCHES] * len(verdicts)
+
+
+def test_detection_more_or_less_changes_no_other(tmp_path):
+    """What is called by its box keeps its name, in other categories as in its own."""
+    content = crowded(np.random.default_rng(3))
+    golden = ranked(tmp_path / "golden", {"scene_1_0000": content})
+    fewer = ranked(
+        tmp_path / "fewer",
+        {"scene_1_0000": in_order(content, "pred", np.array([4, 5, 6]))},
+    )
+    verdicts = {verdict.category: verdict for verdict in compare(golden, fewer)}
+    assert (verdicts["bowl"].word, verdicts["mug"].word) == (Word.MATCHES, Word.REGRESSED)
+    kept = {name for name in fewer.ranking.detections if "/mug/" in name}
+    assert kept == {"scene_1_0000/mug/0_20_10_30"}
+    assert "scene_1_0000/mug/50_50_90_90" in verdicts["mug"].details
 
 
 @pytest.mark.parametrize("damage", ["offset", "lacks", "truncated", "object"])
