@@ -170,7 +170,8 @@ class RobustnessPoint:
 
         For results and reports, of which nothing but the name is left.
         """
-        match = re.fullmatch(r"(.+)\+(?:([a-z-]+)-(\d+)|unperturbed)", dataset)
+        made = "|".join(PERTURBATIONS)
+        match = re.fullmatch(rf"(.+)\+(?:({made})-([1-{SEVERITIES}])|unperturbed)", dataset)
         return cls(match[1], match[2], int(match[3] or 0)) if match else None
 
 

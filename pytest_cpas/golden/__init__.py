@@ -2,14 +2,22 @@
 
 ``recorded/METHOD/DATASET/`` has what the run is of (``run.toml``), what was measured of every
 sample (``facts.csv``), and a file for each protocol that it was judged under, with a cell per line.
-The facts decide; the cells follow from them, and are checked on reading. Tables of earlier versions
+The facts decide; the cells follow from them, and are checked on reading. All points of a robustness
+profile are in the files of one folder, ``DATASET+robustness``. Tables of earlier versions
 (``table.toml``, ``samples.csv``) are read as far as they go. What a table says about a run is in
 :mod:`pytest_cpas.golden.comparison`.
 """
 
 from pytest_cpas.golden.comparison import compare
 from pytest_cpas.golden.exact import detectable_flips
-from pytest_cpas.golden.files import find_golden, orphans, read_golden, record, shipped_golden
+from pytest_cpas.golden.files import (
+    find_golden,
+    orphans,
+    read_golden,
+    read_tables,
+    record,
+    shipped_golden,
+)
 from pytest_cpas.golden.jitter import recorded_words
 from pytest_cpas.golden.pairing import SharedColumn, shared_columns
 from pytest_cpas.golden.published import (
@@ -66,6 +74,7 @@ __all__ = [
     "published_sample_counts",
     "published_time",
     "read_golden",
+    "read_tables",
     "record",
     "recorded_words",
     "shared_columns",

@@ -120,10 +120,11 @@ def _other_columns(golden: RunTable, new: RunTable) -> list[Verdict]:
             " anew with --snapshot-update"
         )
         verdicts.append(Verdict(Word.STALE, ALL, told))
-    if golden.outdated:
+    if golden.outdated or golden.misplaced:
+        form = "which knew less" if golden.outdated else "a folder for each perturbation"
         told = (
-            "the golden table has an earlier form, which knew less; if these results are"
-            " right, record it anew with --snapshot-update"
+            f"the golden table has an earlier form, {form}; if these results are right, record it"
+            " anew with --snapshot-update"
         )
         verdicts.append(Verdict(Word.OUTDATED, COMPLETENESS, told))
     then, here = ([protocol.name for protocol in table.protocols] for table in (golden, new))

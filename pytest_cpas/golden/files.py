@@ -3,23 +3,41 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import filelock
 
 from pytest_cpas._files import cache_folder, check_no_link, sync_folder
+from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
-from pytest_cpas.golden.parsing import file_names, parse_table
+from pytest_cpas.golden.points import (
+    ROBUSTNESS,
+    Kept,
+    joined_kept,
+    kept_files,
+    kept_tables,
+    kept_texts,
+    parse_kept,
+)
 from pytest_cpas.golden.tables import GoldenError, RunTable
-from pytest_cpas.golden.texts import RUN, table_texts
+from pytest_cpas.golden.texts import RUN
 from pytest_cpas.golden.waiting import LARGEST, digest_of, finish, put, waiting
 from pytest_cpas.reading.files import NoFileError, decoded, read_bytes
 from pytest_cpas.types import ContractError, DataError
 from pytest_cpas.types.names import checked_name
 
-__all__ = ["find_golden", "is_recorded", "orphans", "read_golden", "record", "shipped_golden"]
-
+__all__ = [
+    "find_golden",
+    "is_recorded",
+    "orphans",
+    "read_golden",
+    "read_tables",
+    "record",
+    "shipped_golden",
+]
 
 #: Seconds to wait for another update of the same folder.
 _PATIENCE = 60.0
@@ -41,10 +59,27 @@ def find_golden(golden: Path, method: str, dataset: str) -> RunTable | None:
     Raises :class:`GoldenError` for a table that is damaged.
     """
     for root in (golden, shipped_golden()):
-        folder = _folder(root, method, dataset)
-        if is_recorded(folder):
-            return read_golden(folder)
+        if (table := _find(root, method, dataset)) is not None:
+            return table
     return None
+
+
+def _find(golden: Path, method: str, dataset: str) -> RunTable | None:
+    """The table below a folder of golden tables, None if there is none."""
+    own, folder = _places(golden, method, dataset)
+    if own == folder:
+        return read_golden(own) if is_recorded(own) else None
+    # an update moves it from the one to the other, where it is if it has left the first by now
+    there, error = None, None
+    try:
+        there = read_golden(own) if is_recorded(own) else None
+    except GoldenError as told:
+        error = told
+    if is_recorded(folder) and dataset in (tables := read_tables(folder)):
+        return tables[dataset]
+    if error is not None:
+        raise error
+    return None if there is None else replace(there, misplaced=True)
 
 
 def is_recorded(folder: Path) -> bool:
@@ -62,14 +97,23 @@ def record(golden: Path, table: RunTable) -> Path:
     intact, for a table that must not be recorded (see :meth:`RunTable.recordable`), a damaged old
     one, a disk that does not take it, or a link below ``golden``, which may lead elsewhere.
     """
-    folder = _folder(golden, table.method, table.dataset)
+    own, folder = _places(golden, table.method, table.dataset)
     try:
         check_no_link(golden, folder)
+        check_no_link(golden, own)
         with _exclusive(folder, _PATIENCE):
             finish(folder)
-            there = next((f for f in _places(golden, table) if is_recorded(f)), None)
-            previous = None if there is None else _read_told(there)
-            _write(golden, folder, table.recordable(previous))
+            kept = _read_told(folder) if is_recorded(folder) else None
+            previous = kept_tables(kept).get(table.dataset)
+            if previous is None and own != folder and is_recorded(own):
+                previous = read_golden(own)
+            if previous is None:
+                previous = _find(shipped_golden(), table.method, table.dataset)
+            point = RobustnessPoint.named(table.dataset)
+            kept = joined_kept(kept, table.recordable(previous), point)
+            _write(golden, folder, table.method, kept)
+            if own != folder:
+                _remove_moved(own)
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
     except (OSError, DataError) as error:
@@ -85,18 +129,16 @@ def orphans(golden: Path, methods: set[str]) -> list[Path]:
     return [folder for folder in folders if folder.parent.name not in methods]
 
 
-def _folder(golden: Path, method: str, dataset: str) -> Path:
-    """Where a table is: below ``golden``, whatever the names are."""
+def _places(golden: Path, method: str, dataset: str) -> tuple[Path, Path]:
+    """The folder that has the name of the data set, and the one in which its table is kept: another
+    one for a point of a robustness profile, which had that of its name in earlier versions."""
     try:
         names = checked_name("method", method), checked_name("data set", dataset)
     except ContractError as error:
         raise GoldenError(str(error)) from error
-    return golden.joinpath("recorded", *names)
-
-
-def _places(golden: Path, table: RunTable) -> Iterator[Path]:
-    for root in (golden, shipped_golden()):
-        yield _folder(root, table.method, table.dataset)
+    own = golden.joinpath("recorded", *names)
+    point = RobustnessPoint.named(dataset)
+    return own, own.with_name(f"{point.base}{ROBUSTNESS}") if point else own
 
 
 def _exclusive(folder: Path, patience: float) -> filelock.BaseFileLock:
@@ -110,15 +152,15 @@ def _exclusive(folder: Path, patience: float) -> filelock.BaseFileLock:
 # -- writing ------------------------------------------------------------------------------------
 
 
-def _write(golden: Path, folder: Path, table: RunTable) -> None:
-    """Replace all files of a table. Under the lock of the folder, and finished.
+def _write(golden: Path, folder: Path, method: str, kept: Kept) -> None:
+    """Replace all files of a folder. Under its lock, and finished.
 
     All are complete on the disk, and have been read back, before any is replaced. They wait as of
     :mod:`pytest_cpas.golden.waiting`; replacing ``run.toml`` commits. From then on :func:`_read`
     takes the others from where they are still waiting, should the writer die before they have got
     their places.
     """
-    written = table_texts(table)
+    written = kept_texts(kept)
     texts = {name: text.encode() for name, text in written.items()}
     run = texts.pop(RUN)
     digest = digest_of(run)
@@ -138,7 +180,7 @@ def _write(golden: Path, folder: Path, table: RunTable) -> None:
                 put_down.append(put(folder, digest, name, text))
         unfinished = put(folder, digest, RUN, run)
         put_down.append(unfinished)
-        _check_readable(folder, run, table, written)
+        _check_readable(folder, run, method, kept, written)
         sync_folder(folder)
         unfinished.replace(folder / RUN)
     except BaseException:
@@ -149,16 +191,44 @@ def _write(golden: Path, folder: Path, table: RunTable) -> None:
     finish(folder)
 
 
-def _check_readable(folder: Path, run: bytes, table: RunTable, written: Mapping[str, str]) -> None:
-    """Read what is about to replace the old table; :class:`GoldenError` unless it is ``table``, of
+def _check_readable(
+    folder: Path, run: bytes, method: str, kept: Kept, written: Mapping[str, str]
+) -> None:
+    """Read what is about to replace the old files; :class:`GoldenError` unless it is ``kept``, of
     which ``written`` are the texts."""
     try:
         texts = _read_texts(folder, run)
-        again = parse_table(table.method, table.dataset, texts)
+        again = kept_tables(parse_kept(method, folder.name, texts))
     except (OSError, DataError, GoldenError) as error:
         raise GoldenError(f"what would be recorded cannot be read back ({error})") from error
-    if texts != written or again.samples != table.samples:
+    samples = {name: table.samples for name, table in kept_tables(kept).items()}
+    if texts != written or {name: table.samples for name, table in again.items()} != samples:
         raise GoldenError("what would be recorded is not what is read back")
+
+
+def _remove_moved(own: Path) -> None:
+    """Remove the table in the folder of a point's own, which is kept among the other points now.
+
+    It is sound, or has been begun to be removed: its samples go first, and what names them last.
+    What else is in the folder stays, and so does a table that was damaged otherwise.
+    """
+    if not own.is_dir():
+        return
+    with _exclusive(own, _PATIENCE):
+        finish(own)
+        try:
+            if (own / RUN).exists():
+                names = [*kept_files(_text(own / RUN, _bytes(own / RUN))), RUN]
+            else:
+                names = [OLDER_SAMPLES, OLDER_TABLE] if (own / OLDER_TABLE).exists() else []
+            if names and (own / names[0]).exists():
+                _read(own)
+        except (OSError, DataError, GoldenError):
+            return
+        for name in names:
+            (own / name).unlink(missing_ok=True)
+        with suppress(OSError):  # something else is there
+            own.rmdir()
 
 
 def _make(folder: Path) -> None:
@@ -177,21 +247,32 @@ def read_golden(folder: Path) -> RunTable:
 
     Nothing is written or removed. Raises :class:`GoldenError` that names the file.
     """
+    tables = read_tables(folder)
+    if folder.name not in tables:
+        raise GoldenError(
+            f"{folder}: it holds the tables of {', '.join(tables)}; read_tables reads them"
+        )
+    return tables[folder.name]
+
+
+def read_tables(folder: Path) -> dict[str, RunTable]:
+    """All tables that are kept in a folder, by the names of their data sets, as
+    :func:`read_golden`."""
     try:
-        return _read(folder)
+        return kept_tables(_read(folder))
     except (OSError, ValueError, GoldenError):
         pass  # a writer may have come between the files
     try:
         with _exclusive(folder, _PATIENCE):
-            return _read_told(folder)
+            return kept_tables(_read_told(folder))
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: an update has held it for {_PATIENCE:g} s") from error
     except OSError:  # nothing can be locked where nothing can be written
-        return _read_told(folder)
+        return kept_tables(_read_told(folder))
 
 
-def _read_told(folder: Path) -> RunTable:
-    """Read a table that nobody writes; :class:`GoldenError` says what to do if it is damaged."""
+def _read_told(folder: Path) -> Kept:
+    """Read what nobody writes; :class:`GoldenError` says what to do if it is damaged."""
     try:
         return _read(folder)
     except (OSError, DataError, GoldenError) as error:
@@ -201,13 +282,13 @@ def _read_told(folder: Path) -> RunTable:
         ) from error
 
 
-def _read(folder: Path) -> RunTable:
+def _read(folder: Path) -> Kept:
     if not (folder / RUN).exists() and (folder / OLDER_TABLE).exists():
         older = (
             _text(folder / name, _bytes(folder / name)) for name in (OLDER_TABLE, OLDER_SAMPLES)
         )
         return parse_older(folder.parent.name, folder.name, *older)
-    return parse_table(folder.parent.name, folder.name, _read_texts(folder, _bytes(folder / RUN)))
+    return parse_kept(folder.parent.name, folder.name, _read_texts(folder, _bytes(folder / RUN)))
 
 
 def _read_texts(folder: Path, run: bytes) -> dict[str, str]:
@@ -216,7 +297,7 @@ def _read_texts(folder: Path, run: bytes) -> dict[str, str]:
     digest = digest_of(run)
     there = {w.name: w.path for w in waiting(folder) if w.run == digest and w.is_complete()}
     texts = {RUN: _text(folder / RUN, run)}
-    for name in file_names(texts[RUN]):
+    for name in kept_files(texts[RUN]):
         texts[name] = _text(folder / name, _bytes(there.get(name, folder / name)))
     return texts
 

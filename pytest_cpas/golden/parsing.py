@@ -11,7 +11,8 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from operator import itemgetter
 from typing import Any
 
@@ -38,6 +39,9 @@ from pytest_cpas.types._arrays import MAX
 
 __all__ = ["checked_fact", "file_names", "parse_table"]
 
+#: Lines of a table with commas: the number and the fields of each.
+Rows = Iterator[tuple[int, list[str]]]
+
 #: Share of a limit by which rounding may exceed it.
 _SLACK = 1e-9
 
@@ -50,11 +54,48 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
 
     Raises :class:`GoldenError` if they are not, or do not belong together.
     """
-    content = _toml(RUN, texts[RUN])
+    content = run_content(texts[RUN])
+    protocols = tuple(_protocol(name, texts) for name in protocol_names(content))
+    with telling():
+        facts = csv_rows(FACTS, texts[FACTS])
+        detections = csv_rows(DETECTIONS, texts[DETECTIONS]) if is_ranked(content) else None
+        table = table_of(method, dataset, content, protocols, facts, detections)
+        again = table_texts(table)
+    check_same(again, texts)
+    return table
+
+
+def run_content(text: str) -> dict[str, Any]:
+    """What ``run.toml`` holds, of a format that is read; raises :class:`GoldenError`."""
+    content = toml(RUN, text)
     if content.get("format") != FORMAT:
         raise GoldenError(
             f"{RUN}: format is {shown(content.get('format'))}, this version reads {FORMAT}"
         )
+    return content
+
+
+@contextmanager
+def telling() -> Iterator[None]:
+    """What is wrong with a text is a :class:`GoldenError`."""
+    try:
+        yield
+    except ValueError as error:  # DataError is one
+        raise GoldenError(str(error)) from error
+
+
+def table_of(
+    method: str,
+    dataset: str,
+    content: Mapping[str, Any],
+    protocols: Sequence[Protocol],
+    facts: Rows,
+    detections: Rows | None,
+) -> RunTable:
+    """A table from what is told of its run and the lines of facts and detections.
+
+    Raises :class:`GoldenError`, ValueError for a line that is not what a run gives.
+    """
     seeds = content.get("seeds")
     if type(seeds) is not int or not 1 <= seeds < 2**31:
         raise GoldenError(f"{RUN}: seeds is {shown(seeds)}, expected at least 1")
@@ -62,34 +103,33 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
     for section in sections.values():
         if not isinstance(section, dict) or not all(isinstance(v, str) for v in section.values()):
             raise GoldenError(f"{RUN}: {', '.join(sections)} must be tables of strings")
-    protocols = tuple(_protocol(name, texts) for name in _protocol_names(content))
     categories = content.get("categories", {})
     if not isinstance(categories, dict) or not all(
         isinstance(v, dict) for v in categories.values()
     ):
         raise GoldenError(f"{RUN}: categories must be tables")
-    try:
-        answers = _read_facts(texts[FACTS], seeds)
-        ranking = None
-        if _is_ranked(content):
-            ranking = _read_ranking(texts[DETECTIONS], categories, protocols)
-            _check_ranking(ranking, Counter(category for category, _ in answers.values()))
-        table = RunTable(
-            method=method,
-            dataset=dataset,
-            identity=sections["identity"],
-            definitions=sections["definitions"],
-            provenance=sections["provenance"],
-            protocols=protocols,
-            samples=table_samples(protocols, answers),
-            listed=Counter(category for category, _ in answers.values()),
-            seeds=seeds,
-            ranking=ranking,
-            own_provenance=_own_provenance(categories),
-        )
-        again = table_texts(table)
-    except ValueError as error:  # DataError is one
-        raise GoldenError(str(error)) from error
+    answers = _read_facts(facts, seeds)
+    ranking = None
+    if detections is not None:
+        ranking = _read_ranking(detections, categories, protocols)
+        _check_ranking(ranking, Counter(category for category, _ in answers.values()))
+    return RunTable(
+        method=method,
+        dataset=dataset,
+        identity=sections["identity"],
+        definitions=sections["definitions"],
+        provenance=sections["provenance"],
+        protocols=tuple(protocols),
+        samples=table_samples(protocols, answers),
+        listed=Counter(category for category, _ in answers.values()),
+        seeds=seeds,
+        ranking=ranking,
+        own_provenance=_own_provenance(categories),
+    )
+
+
+def check_same(again: Mapping[str, str], texts: Mapping[str, str]) -> None:
+    """:class:`GoldenError` unless the texts are as they are written."""
     for name in again:
         if again[name] != texts.get(name):
             told = (
@@ -98,7 +138,6 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
                 else f"{name} is not what follows from the other files: one of them was edited"
             )
             raise GoldenError(told)
-    return table
 
 
 def _own_provenance(categories: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
@@ -113,14 +152,17 @@ def _own_provenance(categories: Mapping[str, Mapping[str, Any]]) -> dict[str, di
     return told
 
 
-def file_names(run_toml: str) -> list[str]:
-    """The other files of a table, as its ``run.toml`` names them; raises :class:`GoldenError`."""
-    content = _toml(RUN, run_toml)
-    ranked = [DETECTIONS] if _is_ranked(content) else []
-    return [FACTS, *ranked, *map(protocol_file, _protocol_names(content))]
+def file_names(contents: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The files besides ``run.toml`` that hold tables of which this is told; raises
+    :class:`GoldenError`."""
+    contents = list(contents)
+    ranked = [DETECTIONS] if any(is_ranked(content) for content in contents) else []
+    names = dict.fromkeys(name for content in contents for name in protocol_names(content))
+    return [FACTS, *ranked, *map(protocol_file, names)]
 
 
-def _protocol_names(content: Mapping[str, Any]) -> list[str]:
+def protocol_names(content: Mapping[str, Any]) -> list[str]:
+    """The protocols that a table is judged under; raises :class:`GoldenError`."""
     names = content.get("protocols")
     if (
         not isinstance(names, list)
@@ -134,14 +176,16 @@ def _protocol_names(content: Mapping[str, Any]) -> list[str]:
     return names
 
 
-def _is_ranked(content: Mapping[str, Any]) -> bool:
+def is_ranked(content: Mapping[str, Any]) -> bool:
+    """Whether there are detections; raises :class:`GoldenError` if that is not told."""
     ranked = content.get("detections")
     if not isinstance(ranked, bool):
         raise GoldenError(f"{RUN}: detections is {shown(ranked)}, expected true or false")
     return ranked
 
 
-def _toml(name: str, text: str) -> dict[str, Any]:
+def toml(name: str, text: str) -> dict[str, Any]:
+    """What a text holds; raises :class:`GoldenError`."""
     try:
         return parse_toml(name, text)
     except DataError as error:
@@ -153,8 +197,14 @@ def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
     file = protocol_file(name)
     if file not in texts:
         raise GoldenError(f"{file} is missing")
-    content = _toml(file, texts[file])
+    content = toml(file, texts[file])
     content.pop("cells", None)
+    return protocol_of(name, content)
+
+
+def protocol_of(name: str, content: Mapping[str, Any]) -> Protocol:
+    """The protocol of this name from what its file tells; raises :class:`GoldenError`."""
+    file = protocol_file(name)
     try:
         protocol = Protocol.parse(content, file)
     except ProtocolError as error:
@@ -164,9 +214,13 @@ def _protocol(name: str, texts: Mapping[str, str]) -> Protocol:
     return protocol
 
 
-def _read_facts(text: str, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...]]]:
+def csv_rows(name: str, text: str) -> Rows:
+    """The lines of a table with commas, and their numbers; the columns first."""
+    return csv_lines(name, lines_of(io.StringIO(text, newline=""), name))
+
+
+def _read_facts(lines: Rows, seeds: int) -> dict[str, tuple[str, tuple[Answer, ...]]]:
     """The category and the answers of each sample."""
-    lines = csv_lines(FACTS, lines_of(io.StringIO(text, newline=""), FACTS))
     _, head = next(lines, (0, []))
     first, names, last = head[: len(KEYS)], head[len(KEYS) : -1], head[-1:]
     if (*first, *last) != (*KEYS, FAILURE):
@@ -211,9 +265,8 @@ def checked_fact(text: str, made: Fact, *, failed: bool) -> float | None:
     raise ValueError(f"{made.name} is {shown(text)}, expected {expected}")
 
 
-def _read_ranking(text: str, stated: Mapping[str, Any], protocols: Sequence[Protocol]) -> Ranking:
+def _read_ranking(lines: Rows, stated: Mapping[str, Any], protocols: Sequence[Protocol]) -> Ranking:
     columns = len(ranking_columns(protocols))
-    lines = csv_lines(DETECTIONS, lines_of(io.StringIO(text, newline=""), DETECTIONS))
     if tuple(next(lines, (0, ()))[1]) != DETECTION:
         raise ValueError(f"{DETECTIONS}: expected the columns {', '.join(DETECTION)}")
     detections: dict[str, RankedDetection] = {}

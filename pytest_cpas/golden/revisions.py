@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from pytest_cpas.golden.comparison import compare
-from pytest_cpas.golden.files import is_recorded, read_golden
+from pytest_cpas.golden.files import is_recorded, read_tables
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
-from pytest_cpas.golden.parsing import file_names, parse_table
+from pytest_cpas.golden.points import ROBUSTNESS, kept_files, kept_tables, parse_kept
 from pytest_cpas.golden.tables import GoldenError, RunTable
 from pytest_cpas.golden.texts import RUN
 from pytest_cpas.golden.words import Word
@@ -31,16 +31,29 @@ def golden_diff(golden: Path, revision: str) -> Iterator[str]:
         for path in golden.glob("recorded/*/*")
         if path.is_dir() and is_recorded(path)
     }
-    for folder in sorted(then | now):
-        title = "/".join(folder.parts[-2:])
-        if folder not in now:
+    old: dict[str, RunTable] = {}
+    new: dict[str, RunTable] = {}
+    for folder in sorted(then, key=_last_if_points):
+        old |= _titled(_tables_at(golden, folder, revision))
+    for folder in sorted(now, key=_last_if_points):
+        new |= _titled(read_tables(golden / folder))
+    for title in sorted({*old, *new}):
+        if title not in new:
             yield f"{title}: there is none any more"
-        elif folder not in then:
+        elif title not in old:
             yield f"{title}: there was none in {revision}"
         else:
-            yield from _changed(
-                title, _table_at(golden, folder, revision), read_golden(golden / folder)
-            )
+            yield from _changed(title, old[title], new[title])
+
+
+def _last_if_points(folder: Path) -> tuple[bool, Path]:
+    """The order of folders: what holds all points of a profile counts, where one of them has a
+    folder of its own as well."""
+    return folder.name.endswith(ROBUSTNESS), folder
+
+
+def _titled(tables: Mapping[str, RunTable]) -> dict[str, RunTable]:
+    return {f"{table.method}/{table.dataset}": table for table in tables.values()}
 
 
 def _changed(title: str, old: RunTable, new: RunTable) -> Iterator[str]:
@@ -49,21 +62,21 @@ def _changed(title: str, old: RunTable, new: RunTable) -> Iterator[str]:
         yield f"{title}: {verdict}"
 
 
-def _table_at(golden: Path, folder: Path, revision: str) -> RunTable:
-    """The table that a folder held in a revision."""
+def _tables_at(golden: Path, folder: Path, revision: str) -> dict[str, RunTable]:
+    """The tables that a folder held in a revision, by the names of their data sets."""
 
     def text(name: str) -> str:
         content = _git(golden, "show", f"{revision}:./{folder.as_posix()}/{name}")
         return content.decode("utf-8", "replace").replace("\r\n", "\n")
 
-    method, dataset = folder.parts[-2:]
+    method, name = folder.parts[-2:]
     inside = f"{folder.as_posix()}/"
     there = _git(golden, "ls-tree", "-z", "--name-only", revision, "--", inside).decode()
     if f"{inside}{RUN}" not in there.split("\0"):
-        return parse_older(method, dataset, text(OLDER_TABLE), text(OLDER_SAMPLES))
+        return kept_tables(parse_older(method, name, text(OLDER_TABLE), text(OLDER_SAMPLES)))
     run = text(RUN)
-    files = {name: text(name) for name in file_names(run)}
-    return parse_table(method, dataset, {RUN: run, **files})
+    files = {file: text(file) for file in kept_files(run)}
+    return kept_tables(parse_kept(method, name, {RUN: run, **files}))
 
 
 def _git(golden: Path, *arguments: str) -> bytes:

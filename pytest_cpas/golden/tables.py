@@ -84,8 +84,8 @@ class RunTable:
     recorded by another run than the rest. ``listed`` counts per category the samples that there
     are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the detections of
     the data set, None where there are none, or no protocol ranks them. ``scenes``: of a run, by
-    sample. ``outdated``: it was read
-    from files of an older form, which know less.
+    sample. ``outdated``: it was read from files of an older form, which know less; ``misplaced``:
+    from a folder in which earlier versions kept it.
     """
 
     method: str
@@ -101,6 +101,7 @@ class RunTable:
     own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     scenes: Mapping[str, str] = field(default_factory=dict, compare=False)
     outdated: bool = False
+    misplaced: bool = field(default=False, compare=False)
 
     @classmethod
     def of(cls, run: Run, rows: Sequence[Row] | None = None) -> RunTable:

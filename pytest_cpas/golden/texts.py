@@ -30,7 +30,7 @@ FORMAT = 3
 #: The files of a table, besides one for each protocol.
 RUN, FACTS, DETECTIONS = "run.toml", "facts.csv", "detections.csv"
 
-_TITLE = "# Recorded by pytest-cpas; --snapshot-update records it anew."
+TITLE = "# Recorded by pytest-cpas; --snapshot-update records it anew."
 
 #: The columns of ``facts.csv`` before the facts; the last one is why there is no answer.
 KEYS, FAILURE = ("category", "sample", "seed"), "failure"
@@ -46,47 +46,56 @@ def protocol_file(name: str) -> str:
 
 def table_texts(table: RunTable) -> dict[str, str]:
     """The text of each file, by its name."""
-    facts, detections = _fact_lines(table), _detection_lines(table)
-    texts = {FACTS: _joined((*KEYS, *table.facts, FAILURE), facts)}
+    facts, detections = fact_lines(table), detection_lines(table)
+    texts = {FACTS: joined((*KEYS, *table.facts, FAILURE), facts)}
     if table.ranking is not None:
-        texts[DETECTIONS] = _joined(DETECTION, detections)
+        texts[DETECTIONS] = joined(DETECTION, detections)
     for protocol in table.protocols:
-        texts[protocol_file(protocol.name)] = _protocol_toml(table, protocol)
-    return {**texts, RUN: _run_toml(table, facts, detections)}
+        lines = [protocol_head(protocol), *cell_lines(table, protocol)]
+        texts[protocol_file(protocol.name)] = "\n".join(lines) + "\n"
+    head = [TITLE, f"format = {FORMAT}", f"conditions = {toml_string(conditions(table))}"]
+    told = [*head, *_condition_lines(table), *category_lines(table, facts, detections)]
+    return {**texts, RUN: "\n".join(told) + "\n"}
 
 
-def _joined(head: Sequence[str], groups: Mapping[str, str]) -> str:
+def joined(head: Sequence[str], groups: Mapping[str, str]) -> str:
+    """A table with commas: its columns, and the lines of groups."""
     return "".join([f"{','.join(head)}\n", *groups.values()])
 
 
-def _fact_lines(table: RunTable) -> dict[str, str]:
-    """The lines of each category."""
+def fact_lines(table: RunTable, facts: Sequence[str] | None = None, *first: str) -> dict[str, str]:
+    """The lines of each category, with the table's own facts if ``facts`` is None; ``first``: what
+    each line begins with."""
     ordered = sorted(table.samples.items(), key=lambda item: (item[1].category, item[0]))
+    names = table.facts if facts is None else facts
     return _by_category(
+        first,
         (
-            sample.category,
-            name,
-            seed,
-            *(_field(answer.facts.get(fact)) for fact in table.facts),
-            answer.failure or "",
-        )
-        for name, sample in ordered
-        for seed, answer in enumerate(sample.answers)
+            (
+                sample.category,
+                name,
+                seed,
+                *(_field(answer.facts.get(fact)) for fact in names),
+                answer.failure or "",
+            )
+            for name, sample in ordered
+            for seed, answer in enumerate(sample.answers)
+        ),
     )
 
 
-def _detection_lines(table: RunTable) -> dict[str, str]:
-    """The lines of each category."""
+def detection_lines(table: RunTable, *first: str) -> dict[str, str]:
+    """The lines of each category; ``first``: what each begins with."""
     if table.ranking is None:
         return {}
     lines = (
         (detection.category, name, _field(detection.score), detection.outcome)
         for name, detection in table.ranking.detections.items()
     )
-    return _by_category(sorted(lines))
+    return _by_category(first, sorted(lines))
 
 
-def _by_category(lines: Iterable[Sequence[object]]) -> dict[str, str]:
+def _by_category(first: Sequence[str], lines: Iterable[Sequence[object]]) -> dict[str, str]:
     """The lines of each category, after an empty one: git takes changes of lines that touch each
     other for a conflict."""
     groups: dict[str, io.StringIO] = {}
@@ -95,7 +104,7 @@ def _by_category(lines: Iterable[Sequence[object]]) -> dict[str, str]:
         if category not in groups:
             groups[category] = io.StringIO()
             groups[category].write("\n")
-        csv.writer(groups[category], lineterminator="\n").writerow(line)
+        csv.writer(groups[category], lineterminator="\n").writerow([*first, *line])
     return {category: text.getvalue() for category, text in groups.items()}
 
 
@@ -103,35 +112,53 @@ def _field(value: float | None) -> str:
     return "" if value is None else repr(float(value))
 
 
-def _run_toml(table: RunTable, facts: Mapping[str, str], detections: Mapping[str, str]) -> str:
-    """``facts`` and ``detections``: the lines of each category."""
+def _condition_lines(table: RunTable) -> list[str]:
+    """What the table was recorded under."""
     names = ", ".join(toml_string(protocol.name) for protocol in table.protocols)
     lines = [f"seeds = {table.seeds}", f"protocols = [{names}]"]
     lines += [f"detections = {str(table.ranking is not None).lower()}"]
     for title in ("identity", "definitions", "provenance"):
-        values: Mapping[str, str] = getattr(table, title)
-        order = values if title == "definitions" else sorted(values)
-        lines += ["", f"[{title}]", *_toml_lines({key: values[key] for key in order})]
-    conditions = "\n".join([*lines, *map(_protocol_head, table.protocols)])
-    head = [_TITLE, f"format = {FORMAT}", f"conditions = {toml_string(_digest(conditions))}"]
+        lines += ["", f"[{title}]", *toml_lines(section(table, title))]
+    return lines
+
+
+def section(table: RunTable, title: str) -> dict[str, str]:
+    """The ``identity``, ``definitions`` or ``provenance`` of a table, in the order of its file."""
+    values: Mapping[str, str] = getattr(table, title)
+    order = values if title == "definitions" else sorted(values)
+    return {key: values[key] for key in order}
+
+
+def conditions(table: RunTable) -> str:
+    """A digest of what the table was recorded under."""
+    return _digest("\n".join([*_condition_lines(table), *map(protocol_head, table.protocols)]))
+
+
+def category_lines(
+    table: RunTable, facts: Mapping[str, str], detections: Mapping[str, str], within: str = ""
+) -> list[str]:
+    """What ``run.toml`` tells of each category, of which ``facts`` and ``detections`` are the
+    lines; ``within``: what the keys of sections begin with."""
     counted = table.ranking.counted if table.ranking else {}
     samples = Counter(sample.category for sample in table.samples.values())
+    lines = []
     for category in sorted({*facts, *detections, *counted}):
-        section = f"categories.{toml_string(category)}"
-        own = _toml_lines(dict(sorted(table.own_provenance.get(category, {}).items())))
+        key = f"{within}categories.{toml_string(category)}"
+        own = toml_lines(dict(sorted(table.own_provenance.get(category, {}).items())))
         told: dict[str, object] = {"samples": samples[category]}
         if table.ranking:
             told["counted"] = list(counted.get(category, ()))
         content = [facts.get(category, ""), detections.get(category, ""), str(told), *own]
         told["digest"] = _digest("".join(content))
-        lines += ["", f"[{section}]", *_toml_lines(told)]
+        lines += ["", f"[{key}]", *toml_lines(told)]
         if own:
-            lines += ["", f"[{section}.provenance]", *own]
-    return "\n".join([*head, *lines]) + "\n"
+            lines += ["", f"[{key}.provenance]", *own]
+    return lines
 
 
-def _toml_lines(values: Mapping[str, object]) -> list[str]:
-    return [f"{toml_key(key)} = {_toml_value(value)}" for key, value in values.items()]
+def toml_lines(values: Mapping[str, object]) -> list[str]:
+    """A line for each key."""
+    return [f"{toml_key(key)} = {toml_value(value)}" for key, value in values.items()]
 
 
 def toml_key(key: str) -> str:
@@ -144,27 +171,30 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
 
-def _protocol_toml(table: RunTable, protocol: Protocol) -> str:
-    lines = [_protocol_head(protocol)]
-    for category, cells in _cells(table, protocol).items():
-        lines += ["", f"[cells.{toml_string(category)}]", *_toml_lines(cells)]
-    return "\n".join(lines) + "\n"
-
-
-def _protocol_head(protocol: Protocol) -> str:
-    """What a protocol is, without a table's cells."""
+def protocol_head(protocol: Protocol, within: str = "") -> str:
+    """What a protocol is, without a table's cells; in a section, unless ``within`` is empty, which
+    the keys of sections begin with."""
     head = {key: value for key, value in protocol.declared().items() if key != "columns"}
-    lines = [_TITLE, *_toml_lines(head)]
+    lines = [f"[{within.removesuffix('.')}]" if within else TITLE, *toml_lines(head)]
     for column in protocol.columns:
-        lines += ["", "[[columns]]", *_toml_lines(column.declared())]
+        lines += ["", f"[[{within}columns]]", *toml_lines(column.declared())]
     return "\n".join(lines)
 
 
-def _toml_value(value: object) -> str:
+def cell_lines(table: RunTable, protocol: Protocol, within: str = "") -> list[str]:
+    """The cells of a protocol; ``within``: what the keys of sections begin with."""
+    lines = []
+    for category, cells in _cells(table, protocol).items():
+        lines += ["", f"[{within}cells.{toml_string(category)}]", *toml_lines(cells)]
+    return lines
+
+
+def toml_value(value: object) -> str:
+    """A value in one line."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{k} = {_toml_value(v)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{k} = {toml_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_toml_value, value)) + "]"
+        return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
     return toml_string(value) if isinstance(value, str) else repr(value)

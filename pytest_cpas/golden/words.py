@@ -46,8 +46,8 @@ class Word(VerdictWord):
     #: There is no table, or one whose seeds could show no loss at all, or only a part of the
     #: samples was judged (and agrees).
     NOT_CHECKED = "NOT CHECKED", "skipped", "failed"
-    #: The table has the form of an earlier version, which knew less: record it anew. What it knows
-    #: is judged all the same.
+    #: The table has the form of an earlier version, which knew less or kept it elsewhere: record it
+    #: anew. What it knows is judged all the same.
     OUTDATED = "OUTDATED", "passed"
     #: With --snapshot-update: the table was written.
     RECORDED = "RECORDED", "passed"

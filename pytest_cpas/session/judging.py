@@ -23,7 +23,7 @@ from pytest_cpas.golden import (
     compare_published,
     find_golden,
     published_cells,
-    read_golden,
+    read_tables,
     record,
     recorded_words,
 )
@@ -95,7 +95,7 @@ def record_run(
         if run.under_contract and len(collected.contract) < len(CONTRACT):
             raise GoldenError("the contract of the method was not checked; leave out -k")
         written = record(folder, table)
-        lines = [str(written), *recorded_words(read_golden(written), alarm)]
+        lines = [str(written), *recorded_words(read_tables(written)[run.dataset], alarm)]
         lines += _more_seeds_needed(run, table)
         verdict = Verdict(Word.RECORDED, ALL, "\n  ".join(lines))
     except GoldenError as error:

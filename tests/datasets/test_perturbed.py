@@ -13,6 +13,7 @@ from pytest_cpas.datasets.perturbed import (
     perturbed,
 )
 from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.golden import read_tables
 from pytest_cpas.types import Camera, MethodInfo, Observation
 
 HEIGHT, WIDTH = 120, 160
@@ -174,6 +175,8 @@ def test_samples_of_a_perturbed_data_set():
     ("name", "expected"),
     [
         ("real275", None),
+        ("ycb+real-2", None),
+        ("ycb+light-4", None),
         ("synthetic-handheld", None),
         ("a+unperturbed", RobustnessPoint("a")),
         (
@@ -223,7 +226,9 @@ def test_profile_records_and_compares_curves(cpas, pytester):
         ["light", "12/12", *curve(first)[3][2:]],
     ]
     assert all(int(cell.split("/")[0]) < 8 for cell in curve(first)[3][2:])
-    tables = {path.name for path in (pytester.path / "golden/recorded/perfect").iterdir()}
+    (folder,) = (pytester.path / "golden/recorded/perfect").iterdir()
+    assert folder.name == "tiny+robustness"
+    tables = read_tables(folder).keys()
     assert len(tables) == 1 + 4 * SEVERITIES
     assert {"tiny+unperturbed", "tiny+light-3"} < tables
     again = cpas("Perfect", *PROFILE, "--cpas-require-golden", "-n2")
@@ -247,9 +252,12 @@ def test_method_is_loaded_once_for_all_points(cpas):
     result.stdout.no_fnmatch_line("*(try 2)*")
 
 
-def test_shards_of_a_profile_are_merged(cpas, pytester):
+def test_shards_of_a_profile_are_merged_and_recorded(cpas, pytester):
     for shard in ("1/2", "2/2"):
         cpas("Perfect", *PROFILE, f"--cpas-shard={shard}", "--cpas-results=out")
     files = [f"--cpas-merge={path}" for path in (pytester.path / "out").iterdir()]
-    result = pytester.runpytest_inprocess("-p", "no:dash", "-q", *files)
-    assert curve(result) == curve(cpas("Perfect", *PROFILE))
+    result = pytester.runpytest_inprocess("-p", "no:dash", "-q", *files, "--snapshot-update")
+    result.stdout.fnmatch_lines(["golden, categories of all 13 curve points: RECORDED 13"])
+    again = cpas("Perfect", *PROFILE, "--cpas-require-golden")
+    assert again.ret == 0
+    assert curve(result) == curve(again)

@@ -1,6 +1,7 @@
 """An update of a golden table is killed at every step: the old table or the new one is there."""
 
 import os
+import shutil
 import signal
 import stat
 import sys
@@ -12,6 +13,7 @@ from older_tables import record_older
 from tables import GOLDEN, REFS, Fixed, RunTable, a_run, rows, table
 
 from pytest_cpas.golden import find_golden, record
+from pytest_cpas.golden.texts import table_texts
 from pytest_cpas.protocols import shipped_protocol
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
@@ -119,25 +121,39 @@ OLDER = {"table.toml", "samples.csv"}
     ],
 )
 def test_killed_at_every_step(tmp_path, old, new, expected):
-    # the cache has the locks, and is made before anything is counted
-    record(tmp_path / "other", GOLDEN)
-    step, seen = 0, []
-    while True:
-        golden = tmp_path / str(step)
+    def prepare(golden: Path) -> None:
         if old == "version 1":
             record_older(golden, table(s_03=9))
         elif old:
             record(golden, old)
-        before = find_golden(golden, "m", "d")
+
+    before = kill_at_every_step(tmp_path, prepare, new, expected)
+    assert before in (None, old) or before.outdated
+
+
+def kill_at_every_step(tmp_path, prepare, new, expected, others=None) -> RunTable | None:
+    """Record ``new`` in the place of what ``prepare`` leaves, and return that; ``others``: tables
+    that are never touched, with whose files those of ``expected`` are in the end."""
+    # the cache has the locks, and is made before anything is counted
+    record(tmp_path / "other", replace(GOLDEN, dataset=new.dataset))
+    prepared = tmp_path / "prepared"
+    prepared.mkdir()
+    prepare(prepared)
+    step, seen = 0, []
+    while True:
+        golden = shutil.copytree(prepared, tmp_path / str(step))
+        before = find_golden(golden, "m", new.dataset)
         died = killed(golden, new, step)
         left = contents(golden)
-        survivor = find_golden(golden, "m", "d")
+        survivor = find_golden(golden, "m", new.dataset)
         assert survivor in (before, expected), f"neither, after step {step}"
+        for other in others or ():
+            assert find_golden(golden, "m", other.dataset) == other
         assert contents(golden) == left, "whoever reads changes nothing"
         seen.append(survivor)
         record(golden, new)
-        assert find_golden(golden, "m", "d") == expected
-        assert files(golden) == files_of(expected)
+        assert find_golden(golden, "m", new.dataset) == expected
+        assert files(golden) == set().union(*map(files_of, (expected, *(others or ()))))
         if not died:
             break
         step += 1
@@ -147,3 +163,46 @@ def test_killed_at_every_step(tmp_path, old, new, expected):
         assert seen[-1] == expected
         # one step commits: it never goes back
         assert seen == sorted(seen, key=lambda survivor: survivor == expected)
+    return before
+
+
+def at(point: str, table: RunTable) -> RunTable:
+    return replace(table, dataset=f"d+{point}")
+
+
+def of_its_own_folder(golden: Path, table: RunTable) -> None:
+    """As earlier versions kept a point of a robustness profile."""
+    folder = golden / "recorded" / table.method / table.dataset
+    folder.mkdir(parents=True)
+    for name, text in table_texts(table).items():
+        (folder / name).write_text(text)
+
+
+BESIDE = ("unperturbed", "mask-dilation-1")
+
+
+@pytest.mark.parametrize(
+    ("earlier", "old", "new", "expected", "others"),
+    [
+        (record, None, GOLDEN, GOLDEN, BESIDE),
+        (record, GOLDEN, MORE, MORE, BESIDE),
+        (of_its_own_folder, GOLDEN, table(s_03=9), table(s_03=9), BESIDE),
+        (of_its_own_folder, MORE, MORE, MORE, ()),
+        (record_older, table(s_03=9), GOLDEN, GOLDEN, ()),
+    ],
+    ids=[
+        *("first", "more protocols"),
+        *("of its own folder", "of its own folder, the first that moves", "of version 1"),
+    ],
+)
+def test_update_of_a_point_killed_at_every_step(tmp_path, earlier, old, new, expected, others):
+    """All files of all points are one transaction, and so is the end of a folder of its own."""
+    kept = [at(point, GOLDEN) for point in others]
+
+    def prepare(golden: Path) -> None:
+        for other in kept:
+            record(golden, other)
+        if old:
+            earlier(golden, at("light-2", old))
+
+    kill_at_every_step(tmp_path, prepare, at("light-2", new), at("light-2", expected), kept)

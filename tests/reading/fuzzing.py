@@ -28,7 +28,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -507,19 +507,37 @@ def goldens() -> list[bytes]:
     return [SEPARATOR.join(texts[name].encode() for name in GOLDEN_FILES)]
 
 
+def points() -> list[bytes]:
+    """Two points of a robustness profile, one of which states other conditions than the other."""
+    from pytest_cpas.golden.points import Points
+
+    table = replace(a_table(), dataset="d+unperturbed")
+    kept = Points({}, {}, {}).joined("unperturbed", table)
+    (protocol,) = table.protocols
+    other = replace(
+        table, dataset="d+light-2", protocols=(replace(protocol, version=2),), provenance={"a": "b"}
+    )
+    texts = kept.joined("light-2", other).texts()
+    return [SEPARATOR.join(texts[name].encode() for name in GOLDEN_FILES)]
+
+
 GOLDEN_FILES = ("run.toml", "facts.csv", "cpas.toml")
 
 
-def golden(path: Path) -> None:
-    from pytest_cpas.golden.files import read_golden
+def golden(path: Path, folder_name: str = "d") -> None:
+    from pytest_cpas.golden.files import read_tables
 
     parts = path.read_bytes().split(SEPARATOR)
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-        place = Path(folder) / "recorded" / "m" / "d"
+        place = Path(folder) / "recorded" / "m" / folder_name
         place.mkdir(parents=True)
         for name, part in zip(GOLDEN_FILES, parts, strict=False):
             (place / name).write_bytes(part)
-        read_golden(place)
+        read_tables(place)
+
+
+def golden_points(path: Path) -> None:
+    golden(path, "d+robustness")
 
 
 def older_golden(path: Path) -> None:
@@ -664,6 +682,7 @@ READERS: dict[str, Reader] = {
     "predictions": Reader(judged, predictions, ".npz", mutations=ARCHIVE),
     "results": Reader(merged, results, ".jsonl", mutations=(checksummed,) * 4),
     "golden": Reader(golden, goldens),
+    "golden points": Reader(golden_points, points),
     "older golden": Reader(older_golden, older_goldens, mutations=(matching,) * 4),
     "known": Reader(of("pytest_cpas.checks.known", "read_known", "metric", ["c"]), lambda: [KNOWN],
                     mutations=TEXT),
@@ -709,7 +728,10 @@ def complaint(name: str, path: Path, errors: tuple[type[Exception], ...]) -> str
             if isinstance(cause, MemoryError):
                 return f"{type(cause).__name__} behind {told[:200]}"
             cause = cause.__cause__ or cause.__context__
-        if name not in ("numbers", "golden", "older golden") and path.name not in told:
+        if (
+            name not in ("numbers", "golden", "golden points", "older golden")
+            and path.name not in told
+        ):
             return f"the error does not name the file: {told[:300]}"
     except BaseException:
         return traceback.format_exc()
