@@ -693,6 +693,9 @@ READERS: dict[str, Reader] = {
                      covers=("schemas.check_schema",)),
 }  # fmt: skip
 
+#: Those that are not handed the path: they are about what is in a file.
+WITHOUT_PATH = ("numbers", "golden", "golden points", "older golden")
+
 # -- running ------------------------------------------------------------------------------------
 
 
@@ -728,10 +731,7 @@ def complaint(name: str, path: Path, errors: tuple[type[Exception], ...]) -> str
             if isinstance(cause, MemoryError):
                 return f"{type(cause).__name__} behind {told[:200]}"
             cause = cause.__cause__ or cause.__context__
-        if (
-            name not in ("numbers", "golden", "golden points", "older golden")
-            and path.name not in told
-        ):
+        if name not in WITHOUT_PATH and path.name not in told:
             return f"the error does not name the file: {told[:300]}"
     except BaseException:
         return traceback.format_exc()

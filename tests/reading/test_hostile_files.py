@@ -58,8 +58,7 @@ ODD = {
 #: No record is none; a folder of predictions is one of pickles.
 OTHERWISE = {("speed", "nothing"), ("predictions", "folder"), ("predictions", "nothing")}
 
-#: Those that are handed a path; the others are about what is in a file.
-OF_PATHS = [name for name in fuzzing.READERS if name not in ("golden", "older golden", "numbers")]
+OF_PATHS = [name for name in fuzzing.READERS if name not in fuzzing.WITHOUT_PATH]
 
 
 @pytest.mark.parametrize("name", OF_PATHS)
