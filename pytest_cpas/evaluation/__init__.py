@@ -23,7 +23,7 @@ from pytest_cpas.evaluation.results import (
 from pytest_cpas.evaluation.results_file import ResultsFile
 from pytest_cpas.evaluation.rows import Answer, Answered, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
-from pytest_cpas.evaluation.surroundings import is_installed, leave_out
+from pytest_cpas.evaluation.surroundings import is_installed, leave_out, named
 from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
 __all__ = [
@@ -57,6 +57,7 @@ __all__ = [
     "leave_out",
     "measure",
     "merge",
+    "named",
     "parse_seconds",
     "read_frames",
     "read_results",

@@ -20,6 +20,7 @@ from pytest_cpas.evaluation.results import (
 )
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError
+from pytest_cpas.evaluation.surroundings import named
 from pytest_cpas.protocols import Protocol
 from pytest_cpas.types import DataError, Dataset, GroundTruth, SampleRef, raised_as
 
@@ -52,7 +53,9 @@ class MergedRun(Run):
         self.listed = Counter(header.listed)
         self.provenance = functools.reduce(together, (part.header.provenance for part in parts))
         #: Whether more than one program computed the rows.
-        self.several_programs = any(program_differences(header, part.header) for part in parts)
+        self.several_programs = any(
+            part.changed or program_differences(header, part.header) for part in parts
+        )
         self.files = functools.reduce(together, (part.header.files for part in parts))
         self.seeds = header.seeds
         self.robustness_point = RobustnessPoint.named(header.dataset)
@@ -121,6 +124,12 @@ def _check_shards(parts: Sequence[Results], allow_gaps: bool, any_program: bool)
         if differences:
             raise ResultsError(
                 f"{first.path} and {part.path} are of different runs: {'; '.join(differences)}"
+            )
+        if part.changed and not any_program:
+            raise ResultsError(
+                f"{part.path}: the program has changed while it computed these rows"
+                f" ({named(part.changed)}), so they may be of two. Run the same command again, or"
+                " pass --cpas-results-reuse=any"
             )
         if programs:
             raise ResultsError(

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
 from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
+from pytest_cpas.evaluation.meanwhile import Meanwhile, Seen, seen
 from pytest_cpas.evaluation.measuring import measure
-from pytest_cpas.evaluation.program import program_of
+from pytest_cpas.evaluation.program import look_again, program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
-from pytest_cpas.evaluation.surroundings import united
+from pytest_cpas.evaluation.surroundings import changed_names, piecewise_digest, united
 from pytest_cpas.evaluation.watchdog import ChannelError, Limit, Limited
 from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
@@ -42,7 +43,7 @@ __all__ = ["MethodError", "MethodRun", "check_answers"]
 
 
 #: Of a folder of weights that are not declared: files that are looked at, and bytes up to which
-#: their contents are.
+#: their whole contents are.
 _MOST_FILES, _LARGEST_FOLDER = 10_000, 2**30
 
 
@@ -65,6 +66,15 @@ class Loading:
         except Exception as error:
             return error
         return None
+
+    @functools.cached_property
+    def seen(self) -> Mapping[Path, Seen]:
+        """The files of the weights, before anything is read of them."""
+        folder = self._weights
+        declared = assets_of(self._method, folder) if folder else ()
+        paths = [folder / asset.path for asset in declared] if folder else []
+        paths = paths or _files_below(folder)
+        return seen({path: f"the weights {path.name}" for path in paths})
 
     @functools.cached_property
     def declared_weights(self) -> Mapping[str, str]:
@@ -109,7 +119,10 @@ class MethodRun(Run):
         self.limit: Limit | None = None
         self.under_contract = shared is None
         self.info = method.info
-        programs = program_of(type(method)), program_of(*readers_of(dataset))
+        self._parts: list[Sequence[type | Callable[..., object]]]
+        self._parts = [[type(method)], readers_of(dataset)]
+        programs = self._programs = [program_of(*parts) for parts in self._parts]
+        self._meanwhile = Meanwhile(self.loading.seen, *(program.seen for program in programs))
         self.files = united(*(program.files for program in programs))
         self.provenance = {
             **self.provenance,
@@ -145,6 +158,25 @@ class MethodRun(Run):
             },
             protocols=protocols,
         )
+
+    def began(self, when: int, plugins: Iterable[Path]) -> None:
+        """Take in when pytest was started, nanoseconds since 1970, and which files its plugins are
+        of, for :meth:`changed_meanwhile`."""
+        self._meanwhile.watch(seen({path: path.name for path in plugins}))
+        self._meanwhile.since(when)
+
+    def changed_meanwhile(self, *, thoroughly: bool = False) -> Mapping[str, bool]:
+        """Of the method, the data set's code, plugins and weights, as far as files tell."""
+        self._meanwhile.look()
+        if thoroughly:
+            for parts, before in zip(self._parts, self._programs, strict=True):
+                now = look_again(*parts)
+                names = [*changed_names(before.files, now.files)]
+                told = (before.code, before.packages) != (now.code, now.packages)
+                if told and not names:
+                    names = ["what it imports"]
+                self._meanwhile.add(names, told=told)
+        return self._meanwhile.changed
 
     @property
     def unloaded(self) -> Method:
@@ -244,16 +276,21 @@ def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
     return {"weights": digest.hexdigest()[:16]}
 
 
+def _files_below(folder: Path | None) -> list[Path]:
+    found = [] if folder is None else folder.rglob("*")
+    return sorted(path for path in found if path.is_file())[:_MOST_FILES]
+
+
 def _undeclared_weights(method: Method, folder: Path | None) -> dict[str, str]:
     """A digest of the folder that a method without declared assets is given: what it reads there is
     known to nobody."""
     if folder is None or assets_of(method, folder):
         return {}
-    files = sorted(path for path in folder.rglob("*") if path.is_file())[:_MOST_FILES]
+    files = _files_below(folder)
     small = sum(path.stat().st_size for path in files) <= _LARGEST_FOLDER
     digest = hashlib.sha256()
     for path in files:
-        told = sha256(path) if small else str(path.stat().st_size)
+        told = sha256(path) if small else piecewise_digest(path)
         digest.update(f"{path.relative_to(folder)} {told}\n".encode(errors="backslashreplace"))
     return {"weights_folder": digest.hexdigest()[:16]}
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
+import importlib
 import importlib.machinery
 import importlib.metadata
 import inspect
@@ -25,14 +26,21 @@ import sys
 import sysconfig
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas.evaluation.surroundings import digests_of, files_around, is_installed
+from pytest_cpas.evaluation.meanwhile import Seen, seen
+from pytest_cpas.evaluation.surroundings import (
+    WHOLE,
+    by_name,
+    digests_of,
+    files_around,
+    is_installed,
+)
 from pytest_cpas.reading.files import read_bytes, sha256
 
-__all__ = ["UNKNOWN", "Program", "found_programs", "program_of", "take_programs"]
+__all__ = ["UNKNOWN", "Program", "found_programs", "look_again", "program_of", "take_programs"]
 
 #: The digest of a program whose sources are not on a disk.
 UNKNOWN = "unknown"
@@ -50,13 +58,14 @@ class Program:
     ``code``: a digest of its sources, or :data:`UNKNOWN`; ``packages``: name and version of the
     distributions that they import; ``revision``: that of the git repository they are in, with
     ``+`` if it has changes, or ""; ``files``: a digest of each source, and of each file around them
-    that may be run or read, by name.
+    that may be run or read, by name; ``seen``: all of them as they were before they were read.
     """
 
     code: str
     packages: str
     revision: str
     files: Mapping[str, str] = field(default_factory=dict)
+    seen: Mapping[Path, Seen] = field(default_factory=dict, compare=False, repr=False)
 
     def facts(self) -> Mapping[str, str]:
         """As provenance has it."""
@@ -82,8 +91,16 @@ def program_of(*parts: type | Callable[..., object]) -> Program:
 
 
 def found_programs() -> dict[str, dict[str, Any]]:
-    """The programs that were looked for, as plain values for :func:`take_programs`."""
-    return {name: asdict(program) for name, program in _found.items()}
+    """The programs that were looked for, as plain values for :func:`take_programs`; whether they
+    change is seen by this process alone."""
+    return {name: asdict(replace(program, seen={})) for name, program in _found.items()}
+
+
+def look_again(*parts: type | Callable[..., object]) -> Program:
+    """As :func:`program_of`, but of what the files are now, whoever has asked before."""
+    importlib.invalidate_caches()
+    _distributions.cache_clear()
+    return _look_for(" ".join(map(_name_of, parts)), parts)
 
 
 def take_programs(known: Mapping[str, Mapping[str, Any]]) -> None:
@@ -110,8 +127,16 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Prog
     known = [source for source in sources if source in search.files]
     if not known or len(known) < len(sources):
         return Program(UNKNOWN, search.packages(), "")
-    files = digests_of(files_around(search.files, search.texts, search.distributions()))
-    return Program(search.digest(names), search.packages(), _revision(known[0]), files)
+    around = files_around(search.files, search.texts, search.distributions())
+    watched = seen({**search.data, **search.files, **around})
+    digests = digests_of({**search.data, **around})
+    for path, file in watched.items():
+        if path not in search.files:
+            # a method may write what it has read; of a large file the digest is that of pieces
+            digest = digests.get(path) if file.stamp and file.stamp[2] <= WHOLE else None
+            watched[path] = replace(file, digest=digest, told=path in search.data)
+    files = by_name(around, digests)
+    return Program(search.digest(names), search.packages(), _revision(known[0]), files, watched)
 
 
 def _source_of(part: type | Callable[..., object]) -> Path | None:

@@ -17,7 +17,7 @@ from pytest_cpas.facts import fact
 from pytest_cpas.types import SampleRef, shown
 from pytest_cpas.types._arrays import MAX
 
-__all__ = ["check_row", "contract", "header", "ref", "row", "text", "texts"]
+__all__ = ["check_row", "contract", "header", "ref", "row", "several_texts", "text", "texts"]
 
 _T = TypeVar("_T")
 
@@ -45,6 +45,13 @@ def text(name: str, value: Any) -> str:
 def texts(name: str, value: Any) -> dict[str, str]:
     """A mapping from text to text."""
     return _mapping(name, value, text)
+
+
+def several_texts(name: str, value: Any) -> list[str]:
+    """A list of texts."""
+    if not isinstance(value, list):
+        raise ValueError(f"{name} is {shown(value)}, expected a list of texts")
+    return [text(name, part) for part in value]
 
 
 def ref(value: Any) -> SampleRef:
@@ -133,12 +140,6 @@ def _mapping(name: str, value: Any, check: Callable[[str, Any], _T]) -> dict[str
     return {key: check(f"{name} of {key}", part) for key, part in value.items()}
 
 
-def _list(name: str, value: Any) -> list[str]:
-    if not isinstance(value, list):
-        raise ValueError(f"{name} is {shown(value)}, expected a list of texts")
-    return [text(name, part) for part in value]
-
-
 def _count(name: str, value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**62:
         raise ValueError(f"{name} is {shown(value)}, expected a count")
@@ -177,8 +178,8 @@ _HEADER: Mapping[str, Callable[[str, Any], Any]] = {
     "shard": _shard,
     "selected": _count,
     "listed": _counts,
-    "missing": _list,
-    "damaged": _list,
+    "missing": several_texts,
+    "damaged": several_texts,
     "identity": texts,
     "definitions": texts,
     "provenance": texts,

@@ -2,9 +2,10 @@
 
 A results file is append-only text, one JSON value per line, each line preceded by a checksum of
 itself and of all lines before it. The first line says what run the file belongs to, every other one
-holds a row, what went wrong with a sample, what a check of the contract found, or by which other
-program the rows that follow were computed. A last line that was cut off when the writer was killed
-is dropped; any other damage, and a line that was written by another run, is an error.
+holds a row, what went wrong with a sample, what a check of the contract found, by which other
+program the rows that follow were computed, or what has changed of a program while it ran. A last
+line that was cut off when the writer was killed is dropped; any other damage, and a line that was
+written by another run, is an error.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ LARGEST = 2**30
 
 #: Characters of a checksum.
 _CHECKSUM = 16
+
+#: Code that changed while it ran, in provenance.
+CHANGING = "changed while it ran"
 
 #: What is told of a program, but does not tell one from another.
 _ONLY_TOLD = ("revision",)
@@ -120,8 +124,9 @@ class Results:
     """What a results file holds: rows by sample, and errors of samples without a row.
 
     ``refs`` has both kinds of samples; ``contract`` what each check of the contract found. The
-    provenance of the ``header`` names every program that computed rows. ``size``: bytes up to the
-    end of the last whole line, whose checksum is ``last``.
+    provenance of the ``header`` names every program that computed rows; ``changed``: what has
+    changed of one while it did, so that nobody knows which rows are whose. ``size``: bytes up to
+    the end of the last whole line, whose checksum is ``last``.
     """
 
     path: Path
@@ -130,6 +135,7 @@ class Results:
     rows: Mapping[str, Row]
     errors: Mapping[str, str]
     contract: Mapping[str, Mapping[str, Any]]
+    changed: Sequence[str]
     size: int
     last: bytes
 
@@ -159,6 +165,7 @@ def parse_results(path: Path, content: bytes) -> Results:
     rows: dict[str, Row] = {}
     errors: dict[str, str] = {}
     contract: dict[str, Mapping[str, Any]] = {}
+    changed: list[str] = []
     size, last = 0, b""
     for number, line in enumerate(content.split(b"\n")[:-1], 1):  # the rest was cut off
         seen, _, text = line.partition(b" ")
@@ -178,6 +185,9 @@ def parse_results(path: Path, content: bytes) -> Results:
             elif "contract" in value:
                 found = result_lines.contract(value["contract"])
                 contract[found["check"]] = found
+            elif "changed" in value:
+                changed += result_lines.several_texts("changed", value["changed"])
+                header = replace(header, provenance=together(header.provenance, {"code": CHANGING}))
             elif "program" in value:
                 program = result_lines.texts("program", value["program"])
                 files = result_lines.texts("files", value["files"])
@@ -214,6 +224,7 @@ def parse_results(path: Path, content: bytes) -> Results:
         rows=rows,
         errors=errors,
         contract=contract,
+        changed=changed,
         size=size,
         last=last,
     )

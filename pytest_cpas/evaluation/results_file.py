@@ -28,6 +28,7 @@ from pytest_cpas.evaluation.results import (
 )
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run
+from pytest_cpas.evaluation.surroundings import named
 
 __all__ = ["ResultsFile"]
 
@@ -59,6 +60,7 @@ class ResultsFile:
         self.path = folder / f"{run.method}-{run.dataset}{part}.jsonl"
         self.header = Header.of(run, shard)
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
+        self._changed_meanwhile, self._told = run.changed_meanwhile, set[str]()
         self.rows: Mapping[str, Row] = {}
         #: The rows of an older file that are another program's.
         self.set_aside: SetAside | None = None
@@ -91,6 +93,8 @@ class ResultsFile:
                 f" {strangers[0]}. Remove it, or name another folder"
             )
         programs = program_differences(there.header, self.header)
+        if there.changed:
+            programs = [f"changed while it ran: {named(there.changed)}"]
         programs += [
             f"the {whose} sources are in no file, so they may have changed"
             for key, whose in (("code", "method's"), ("data_code", "data set's"))
@@ -149,7 +153,8 @@ class ResultsFile:
         """End writing."""
         if self._file is not None:
             try:
-                if exception[:1] == (None,):
+                with contextlib.suppress(*() if exception[:1] == (None,) else (ResultsError,)):
+                    self._tell_changes(thoroughly=True)
                     self._check()
             finally:
                 with contextlib.suppress(OSError):  # somebody has closed its descriptor
@@ -158,6 +163,8 @@ class ResultsFile:
 
     def add(self, row: Row) -> None:
         """Append a row."""
+        # at once: whoever ends this run may do so any moment
+        self._tell_changes()
         values = row.plain()
         del values["sample"], values["category"]
         self._write({"row": values, "ref": self._refs[row.sample]})
@@ -170,6 +177,12 @@ class ResultsFile:
         """Append what a check of the contract found, unless that is what an earlier run found."""
         if self._contract.get(result["check"]) != result:
             self._write({"contract": result})
+
+    def _tell_changes(self, *, thoroughly: bool = False) -> None:
+        changed = self._changed_meanwhile(thoroughly=thoroughly).keys() - self._told
+        if changed and self._last:
+            self._write({"changed": sorted(changed)})
+            self._told |= changed
 
     def _write(self, value: Mapping[str, Any]) -> None:
         if self._file is None:

@@ -142,6 +142,14 @@ class Run(ABC):
     def judge(self, ref: SampleRef) -> Row:
         """The row of one sample; raises :class:`SampleError`."""
 
+    def changed_meanwhile(self, *, thoroughly: bool = False) -> Mapping[str, bool]:
+        """Names of what has changed of the program since the run was made, and whether golden
+        tables tell of it; so nobody knows which of both has answered.
+
+        Files that are new, or that are found by an import now, are seen ``thoroughly`` alone.
+        """
+        return {}
+
     def truth(self, ref: SampleRef) -> GroundTruth | None:
         """The truth about one sample; None where only its row is left."""
         return None

@@ -23,7 +23,20 @@ from pathlib import Path
 from pytest_cpas.reading.files import opened, sha256
 from pytest_cpas.types import DataError
 
-__all__ = ["changes", "digests_of", "files_around", "is_installed", "leave_out", "united"]
+__all__ = [
+    "WHOLE",
+    "by_name",
+    "changed_names",
+    "changes",
+    "digest_again",
+    "digests_of",
+    "files_around",
+    "is_installed",
+    "leave_out",
+    "named",
+    "piecewise_digest",
+    "united",
+]
 
 #: What is code, whoever runs it, by the end of its name.
 _CODE = re.compile(
@@ -75,8 +88,11 @@ _MOST_ENTRIES, _MOST_FILES = 20_000, 2_000
 
 #: Bytes of a file up to which all of it counts, and of all files together. Of a larger file its
 #: size and some pieces count; beyond all of them, the size.
-_WHOLE, _ALL = 2**23, 2**28
+WHOLE, _ALL = 2**23, 2**28
 _PIECES, _PIECE = 64, 2**16
+
+#: How the digest of a file ends of which the size alone counts.
+_UNREAD = " bytes"
 
 #: Longest text that may be a path, and what is none.
 _LONGEST_PATH = 200
@@ -268,18 +284,38 @@ def _roots(path: Path, module: str) -> tuple[Path, Path]:
     return [*repositories[-1:], *marked[:1], *places[:1], base][0], base
 
 
-def digests_of(files: Mapping[Path, str]) -> dict[str, str]:
-    """A digest of each file by name; of those of the same name together."""
+def digests_of(files: Mapping[Path, str]) -> dict[Path, str]:
+    """A digest of each file that is there, or its size beyond what is read of all together."""
     sizes = {path: size for path in files if (size := _size(path)) is not None}
-    digests = defaultdict(list)
+    digests = {}
     total = 0
     for path in sorted(
         sizes, key=lambda path: (not _READ.fullmatch(path.name), sizes[path], files[path])
     ):
-        total += min(sizes[path], _WHOLE)
-        told = f"{sizes[path]} bytes" if total > _ALL else _digest(path, sizes[path])
-        digests[files[path]].append(told)
+        total += min(sizes[path], WHOLE)
+        digests[path] = _told_size(sizes[path]) if total > _ALL else _digest(path, sizes[path])
+    return digests
+
+
+def digest_again(path: Path, told: str) -> str:
+    """What :func:`digests_of` says of a file now of which it said ``told``."""
+    size = _size(path)
+    if size is None:
+        return "gone"
+    return _told_size(size) if told.endswith(_UNREAD) else _digest(path, size)
+
+
+def by_name(files: Mapping[Path, str], digest_of: Mapping[Path, str]) -> dict[str, str]:
+    """The digest of each file by name; of those of the same name together."""
+    digests = defaultdict(list)
+    for path, name in files.items():
+        if path in digest_of:
+            digests[name].append(digest_of[path])
     return {name: " ".join(sorted(set(told))) for name, told in sorted(digests.items())}
+
+
+def _told_size(size: int) -> str:
+    return f"{size}{_UNREAD}"
 
 
 def _size(path: Path) -> int | None:
@@ -291,16 +327,21 @@ def _size(path: Path) -> int | None:
 
 def _digest(path: Path, size: int) -> str:
     try:
-        if size <= _WHOLE:
-            return sha256(path)[:16]
-        digest = hashlib.sha256(str(size).encode())
-        with opened(path, 2**50) as file:
-            for index in range(_PIECES):
-                file.seek(index * (size - _PIECE) // (_PIECES - 1))
-                digest.update(file.read(_PIECE))
-        return digest.hexdigest()[:16]
+        return sha256(path)[:16] if size <= WHOLE else piecewise_digest(path)
     except (DataError, OSError):
         return "unreadable"
+
+
+def piecewise_digest(path: Path) -> str:
+    """A digest of the size of a large file, and of pieces of it; :class:`OSError`,
+    :class:`DataError`."""
+    size = path.stat().st_size
+    digest = hashlib.sha256(str(size).encode())
+    with opened(path, 2**50) as file:
+        for index in range(_PIECES):
+            file.seek(max(index * (size - _PIECE), 0) // (_PIECES - 1))
+            digest.update(file.read(_PIECE))
+    return digest.hexdigest()[:16]
 
 
 def united(*parts: Mapping[str, str]) -> dict[str, str]:
@@ -312,6 +353,17 @@ def united(*parts: Mapping[str, str]) -> dict[str, str]:
     return {name: " ".join(sorted(digests)) for name, digests in sorted(told.items())}
 
 
+def changed_names(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
+    """Which files are others, are new or are gone."""
+    for name in sorted({*before, *now}):
+        if name not in before:
+            yield f"{name} (new)"
+        elif name not in now:
+            yield f"{name} (gone)"
+        elif before[name] != now[name]:
+            yield name
+
+
 def changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
     """Which files are others, in words: at most three of each kind are named."""
     kinds = {
@@ -321,5 +373,11 @@ def changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
     }
     for kind, names in kinds.items():
         if names:
-            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-            yield f"{kind}: {', '.join(names[:3])}{more}"
+            yield f"{kind}: {named(names)}"
+
+
+def named(names: Collection[str]) -> str:
+    """Names of files, in words: at most three."""
+    first = sorted(names)[:3]
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(first) + more

@@ -9,7 +9,7 @@ from typing import Any
 
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.documents import SpeedDocument
-from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run
+from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run, named
 
 __all__ = ["CollectedRun", "ItemResult"]
 
@@ -110,7 +110,8 @@ class CollectedRun:
             of = " of several programs" if self.run.several_programs else ""
             parts.append(f"merged {new}{of}")
         elif new or not reused:
-            parts.append(f"computed {new}")
+            changed = named(self.run.changed_meanwhile().keys())
+            parts.append(f"computed {new}" + (f" while {changed} changed" if changed else ""))
         if self._file is not None and reused:
             of = " of another program" if self._file.another_program else ""
             parts.append(f"reused {reused}{of} from {self._file.path}")

@@ -24,6 +24,7 @@ from typing import Any
 
 import pytest
 
+from pytest_cpas.session.beginning import note
 from pytest_cpas.session.holding import hold
 from pytest_cpas.session.run_record import Record
 from pytest_cpas.session.seen_items import SeenItems, below
@@ -78,6 +79,7 @@ def guard(config: pytest.Config, parser: pytest.Parser) -> None:
 def watch(config: pytest.Config, record: Record | None = None) -> None:
     """Guard the run inside this process, unless it is guarded or is a worker's."""
     if not config.pluginmanager.has_plugin("cpas-guard") and not hasattr(config, "workerinput"):
+        note(config)
         items = SeenItems.register(config)
         config.pluginmanager.register(Guard(config, record or Record(), items), "cpas-guard")
 

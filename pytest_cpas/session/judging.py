@@ -13,7 +13,7 @@ from pathlib import Path
 from pytest_cpas.checks.contract import CONTRACT
 from pytest_cpas.diagnosis import Explanation
 from pytest_cpas.diagnosis.running import diagnose_run, expected_precision
-from pytest_cpas.evaluation import Run
+from pytest_cpas.evaluation import Run, named
 from pytest_cpas.golden import (
     ALARM,
     GoldenError,
@@ -94,6 +94,12 @@ def record_run(
             raise GoldenError(f"{failed_items} items failed; a golden table needs none to")
         if run.under_contract and len(collected.contract) < len(CONTRACT):
             raise GoldenError("the contract of the method was not checked; leave out -k")
+        changed = [name for name, told in run.changed_meanwhile(thoroughly=True).items() if told]
+        if changed:
+            raise GoldenError(
+                f"{named(changed)}: changed since the run began, so nobody knows which program's"
+                " table this is; run the same command again"
+            )
         written = record(folder, table)
         lines = [str(written), *recorded_words(read_tables(written)[run.dataset], alarm)]
         lines += _more_seeds_needed(run, table)

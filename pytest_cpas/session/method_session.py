@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Collection, Generator, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ from pytest_cpas.reading.files import sha256
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.report.terminal import Terminal, shows_samples
+from pytest_cpas.session.beginning import began
 from pytest_cpas.session.collected import CollectedRun, ItemResult
 from pytest_cpas.session.contract_stage import contract_stages
 from pytest_cpas.session.judging import JudgedRun, judge, record_run
@@ -64,9 +65,9 @@ ITEM_RESULT = pytest.StashKey[ItemResult]()
 _PROGRAMS = "cpas_programs"
 
 
-def _plugins(config: pytest.Config) -> dict[str, str]:
-    """Digests of the conftest.py files of a run, and of other plugins that are not installed: they
-    can change what a method answers."""
+def _plugins(config: pytest.Config) -> dict[str, set[Path]]:
+    """The conftest.py files of a run, and other plugins that are not installed: they can change
+    what a method answers."""
     found: dict[str, set[Path]] = {"conftest": set(), "plugins": set()}
     for plugin in config.pluginmanager.get_plugins():
         file = getattr(plugin, "__file__", None)
@@ -77,8 +78,12 @@ def _plugins(config: pytest.Config) -> dict[str, str]:
             found["conftest"].add(Path(file))
         elif not is_installed(Path(file)):
             found["plugins"].add(Path(file))
+    return found
+
+
+def _digests(plugins: Mapping[str, Collection[Path]]) -> dict[str, str]:
     digests = {}
-    for kind, files in found.items():
+    for kind, files in plugins.items():
         if files:
             contents = "".join(sha256(file) for file in sorted(files) if file.is_file())
             digests[kind] = hashlib.sha256(contents.encode()).hexdigest()[:16]
@@ -121,9 +126,11 @@ class CpasSession(SuiteSession):
             leave_out(options.folders)
             runs = resolve_runs(options)
             plugins = _plugins(config)
+            watched = [file for files in plugins.values() for file in files]
             for run in runs:
                 if isinstance(run, MethodRun):
-                    run.provenance = {**run.provenance, **plugins}
+                    run.provenance = {**run.provenance, **_digests(plugins)}
+                    run.began(began(config), watched)
             files = open_results(options, runs)
             self.stages = contract_stages(runs)
             others = read_others(options, runs) if self.is_controller else []
