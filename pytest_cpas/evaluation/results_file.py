@@ -190,28 +190,41 @@ class ResultsFile:
         text = json.dumps(value, separators=(",", ":")).encode()
         checksum = checksum_of(self._last, text)
         rest = checksum + b" " + text + b"\n"
+        if self._size:
+            self._check()  # what is written behind a gap could not be gone on with
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
-            raise ResultsError(
-                f"{self.path}: cannot be written ({error}); what it holds is good, so the same"
-                " command goes on from there once it can"
-            ) from error
+            raise self._unwritten(error) from error
         self._size += len(checksum) + 1 + len(text) + 1
         self._last = checksum
         self._check()
 
+    def _unwritten(self, error: OSError) -> ResultsError:
+        return ResultsError(
+            f"{self.path}: cannot be written ({error}); what it holds is good, so the same command"
+            " goes on from there once it can"
+        )
+
     def _check(self) -> None:
         """See that the file is there, and has what was written alone."""
+        try:
+            held = os.fstat(cast(io.FileIO, self._file).fileno())
+        except OSError as error:  # somebody has closed it
+            raise self._unwritten(error) from error
         there = None
         with contextlib.suppress(OSError):
-            there, held = self.path.stat(), os.fstat(cast(io.FileIO, self._file).fileno())
-            there = there if os.path.samestat(there, held) else None
-        if there is None:
+            there = self.path.stat()
+        if there is None or not os.path.samestat(there, held):
             raise ResultsError(
                 f"{self.path} was removed or replaced while this run was writing it, so its rows"
                 " are lost. Run the same command again"
+            )
+        if there.st_size < self._size:
+            raise ResultsError(
+                f"{self.path} was cut off at {there.st_size} bytes while this run was writing it:"
+                f" it had {self._size}. The same command goes on from what is left"
             )
         if there.st_size != self._size:
             raise ResultsError(

@@ -24,8 +24,9 @@ from pytest_cpas.golden.points import (
 )
 from pytest_cpas.golden.tables import GoldenError, RunTable
 from pytest_cpas.golden.texts import RUN
-from pytest_cpas.golden.waiting import LARGEST, digest_of, finish, put, waiting
+from pytest_cpas.golden.waiting import LARGEST, digest_of, finish, is_of_table, put, waiting
 from pytest_cpas.reading.files import NoFileError, decoded, read_bytes
+from pytest_cpas.reading.paths import names
 from pytest_cpas.types import ContractError, DataError
 from pytest_cpas.types.names import checked_name
 
@@ -83,9 +84,13 @@ def _find(golden: Path, method: str, dataset: str) -> RunTable | None:
 
 
 def is_recorded(folder: Path) -> bool:
-    """Whether a folder holds a golden table, sound or not: a first update that was killed before
-    it had written one leaves none."""
-    return any((folder / name).exists() for name in (RUN, OLDER_TABLE, OLDER_SAMPLES))
+    """Whether a folder holds a golden table, or what is left of one. A first update that was killed
+    before it had written one leaves none. Raises :class:`GoldenError` if it cannot be listed."""
+    try:
+        there = names(folder)
+    except DataError as error:
+        raise GoldenError(str(error)) from error
+    return any(name in (OLDER_TABLE, OLDER_SAMPLES) or is_of_table(name) for name in there)
 
 
 def record(golden: Path, table: RunTable) -> Path:
@@ -133,10 +138,10 @@ def _places(golden: Path, method: str, dataset: str) -> tuple[Path, Path]:
     """The folder that has the name of the data set, and the one in which its table is kept: another
     one for a point of a robustness profile, which had that of its name in earlier versions."""
     try:
-        names = checked_name("method", method), checked_name("data set", dataset)
+        parts = checked_name("method", method), checked_name("data set", dataset)
     except ContractError as error:
         raise GoldenError(str(error)) from error
-    own = golden.joinpath("recorded", *names)
+    own = golden.joinpath("recorded", *parts)
     point = RobustnessPoint.named(dataset)
     return own, own.with_name(f"{point.base}{ROBUSTNESS}") if point else own
 

@@ -20,7 +20,7 @@ from pytest_cpas.golden.texts import DETECTIONS, FACTS, RUN
 from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.paths import names
 
-__all__ = ["LARGEST", "Waiting", "digest_of", "finish", "put", "waiting"]
+__all__ = ["LARGEST", "Waiting", "digest_of", "finish", "is_of_table", "put", "waiting"]
 
 #: Largest file of a table, bytes: that of some million samples.
 LARGEST = 2**30
@@ -91,7 +91,7 @@ def finish(folder: Path) -> None:
         if not each.is_complete():
             if _has_digest(each.path, digest_of(b"")):
                 gone.append(each.path)
-        elif each.run == committed and each.name in _places(each.name):
+        elif each.run == committed and each.name != RUN and is_of_table(each.name):
             each.path.replace(folder / each.name)
             placed = True
         else:
@@ -102,8 +102,9 @@ def finish(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _places(name: str) -> tuple[str, ...]:
-    return (FACTS, DETECTIONS, *([name] if re.fullmatch(r"[a-z][a-z0-9-]*\.toml", name) else ()))
+def is_of_table(name: str) -> bool:
+    """Whether a file of a table, in its present form, may be called so."""
+    return name in (RUN, FACTS, DETECTIONS) or bool(re.fullmatch(r"[a-z][a-z0-9-]*\.toml", name))
 
 
 def _set_older_aside(folder: Path) -> None:

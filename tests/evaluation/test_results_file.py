@@ -184,6 +184,26 @@ def test_what_somebody_else_wrote_is_noticed(tmp_path, then):
 
 
 @pytest.mark.parametrize("then", ["another row", "the end"])
+@pytest.mark.parametrize("left", [0, 1, 100, 1500, -1])
+def test_file_that_is_cut_off_is_gone_on_with(tmp_path, left, then):
+    """By a tool that empties files, or a disk that was restored."""
+
+    def run() -> None:
+        with ResultsFile(tmp_path, a_run(), WHOLE) as file:
+            for row in rows()[:4]:
+                file.add(row)
+            os.truncate(file.path, left % file.path.stat().st_size)
+            if then == "another row":
+                file.add(rows()[4])
+
+    with pytest.raises(ResultsError, match=r"cut off at \d+ bytes while .* goes on from what is"):
+        run()
+    kept = ResultsFile(tmp_path, a_run(), WHOLE).rows
+    assert len(kept) == {0: 0, 1: 0, 100: 0, -1: 3}.get(left, len(kept))
+    assert list(read_results(write(tmp_path, rows())).rows.values()) == rows()
+
+
+@pytest.mark.parametrize("then", ["another row", "the end"])
 def test_descriptor_that_was_closed_is_noticed(tmp_path, then):
     def run() -> None:
         with ResultsFile(tmp_path, a_run(), WHOLE) as file:
@@ -192,8 +212,7 @@ def test_descriptor_that_was_closed_is_noticed(tmp_path, then):
             if then == "another row":
                 file.add(rows()[1])
 
-    words = "cannot be written" if then == "another row" else "was removed or replaced"
-    with pytest.raises(ResultsError, match=words):
+    with pytest.raises(ResultsError, match="cannot be written"):
         run()
     assert len(read_results(tmp_path / "m-d.jsonl").rows) == 1
 

@@ -16,7 +16,7 @@ from tables import GOLDEN, a_row, a_run, rows, table, with_facts
 
 from pytest_cpas import golden
 from pytest_cpas.evaluation import Answer
-from pytest_cpas.golden import GoldenError, RunTable, read_golden, read_tables, record
+from pytest_cpas.golden import GoldenError, RunTable, find_golden, read_golden, read_tables, record
 from pytest_cpas.golden.parsing import parse_table
 from pytest_cpas.golden.texts import table_texts
 
@@ -118,6 +118,20 @@ def test_table_without_one_of_its_files_is_refused(tmp_path):
         (folder / name).unlink()
         with pytest.raises(GoldenError, match=rf"{re.escape(name)} is missing; it was damaged"):
             read_golden(folder)
+
+
+@pytest.mark.parametrize("left", sorted(FILES))
+def test_what_is_left_of_a_table_is_no_lack_of_one(tmp_path, left):
+    """Neither is it passed over for a shipped table, or recorded over."""
+    folder = record(tmp_path, GOLDEN)
+    for name in FILES:
+        if name != left:
+            (folder / name).unlink()
+    with pytest.raises(GoldenError, match="is missing; it was damaged or edited"):
+        find_golden(tmp_path, "m", "d")
+    with pytest.raises(GoldenError, match="is missing; it was damaged or edited"):
+        record(tmp_path, GOLDEN)
+    assert [path.name for path in folder.iterdir()] == [left]
 
 
 @pytest.mark.parametrize(
