@@ -110,8 +110,7 @@ class CollectedRun:
             of = " of several programs" if self.run.several_programs else ""
             parts.append(f"merged {new}{of}")
         elif new or not reused:
-            changed = named(self.run.changed_meanwhile().keys())
-            parts.append(f"computed {new}" + (f" while {changed} changed" if changed else ""))
+            parts.append(f"computed {new}{self._meanwhile}" if new else "computed 0")
         if self._file is not None and reused:
             of = " of another program" if self._file.another_program else ""
             parts.append(f"reused {reused}{of} from {self._file.path}")
@@ -120,6 +119,13 @@ class CollectedRun:
         if excluded := self.excluded(self.run.listed):
             parts.append(f"not asked for {' '.join(sorted(excluded))}")
         return ", ".join(parts)
+
+    @property
+    def _meanwhile(self) -> str:
+        changed = self.run.changed_meanwhile()
+        # where no row is kept, what a golden table would not tell of either is nobody's concern
+        names = [name for name, told in changed.items() if told or self._file is not None]
+        return f" while {named(names)} changed" if names else ""
 
     def add(self, result: ItemResult) -> None:
         """Take in what an item found; :class:`pytest_cpas.evaluation.ResultsError` if the disk does

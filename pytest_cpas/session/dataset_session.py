@@ -67,7 +67,7 @@ class DatasetSession(SuiteSession):
     @pytest.hookimpl(wrapper=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """After the last item, on the controller: one report per check."""
-        if not self.is_controller or self.config.option.collectonly:
+        if not self.is_controller or self.only_shows:
             return (yield)
         try:
             return (yield)
@@ -90,7 +90,7 @@ class DatasetSession(SuiteSession):
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Verdicts and residuals; pictures are drawn."""
-        if not self.is_controller or self.config.option.collectonly:
+        if self.has_nothing_to_tell(terminalreporter):
             return
         terminal = Terminal(terminalreporter)
         for checked, verdicts in self._verdicts.items():

@@ -47,6 +47,8 @@ _SHOW = (
     "show_fixtures_per_test",
     "cacheshow",
     "collectonly",
+    "setuponly",
+    "setupplan",
     "cpas_list",
 )
 
@@ -56,8 +58,12 @@ is_command = False
 
 def asked(options: Namespace) -> bool:
     """Whether the options ask for verdicts."""
-    asks, shows = (any(getattr(options, name, None) for name in names) for names in (_ASK, _SHOW))
-    return asks and not shows
+    return any(getattr(options, name, None) for name in _ASK) and not only_shows(options)
+
+
+def only_shows(options: Namespace) -> bool:
+    """Whether the options ask for something to be shown, for which nothing is run."""
+    return any(getattr(options, name, None) for name in _SHOW)
 
 
 def guard(config: pytest.Config, parser: pytest.Parser) -> None:

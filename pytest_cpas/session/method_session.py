@@ -271,7 +271,7 @@ class CpasSession(SuiteSession):
     @pytest.hookimpl(wrapper=True)
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """After the last item, on the controller: one report per golden cell group."""
-        if not self.is_controller or self.config.option.collectonly:
+        if not self.is_controller or self.only_shows:
             return (yield)
         try:
             with ExitStack() as files:
@@ -333,7 +333,7 @@ class CpasSession(SuiteSession):
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The tables and verdicts."""
-        if not self.is_controller:
+        if self.has_nothing_to_tell(terminalreporter):
             return
         # whoever interrupts a run sees what there is
         documents = self._documents or [

@@ -79,7 +79,7 @@ class MetricsSession(SuiteSession):
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The matrix; reports and recorded violations are written."""
-        if not self.is_controller or self.config.option.collectonly:
+        if self.has_nothing_to_tell(terminalreporter):
             return
         matrix = {
             name: {prop: cells[prop] for prop in PROPERTIES if prop in cells}

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import pytest
 
 from pytest_cpas.reading.text import encodable, everywhere, terminal_line, terminal_lines
+from pytest_cpas.session.guard import only_shows
 from pytest_cpas.session.options import Granularity
 from pytest_cpas.types import ItemOutcome, SampleRef
 
@@ -62,6 +63,17 @@ class SuiteSession(ABC):
         others = [p for p in config.pluginmanager.get_plugins() if isinstance(p, SuiteSession)]
         named = config.args_source is pytest.Config.ArgsSource.ARGS
         config.args = [*(config.args if named or others else ()), str(self._suite)]
+
+    @property
+    def only_shows(self) -> bool:
+        """Whether nothing is run that could be judged: ``--collect-only`` and such."""
+        return only_shows(self.config.option)
+
+    def has_nothing_to_tell(self, reporter: pytest.TerminalReporter) -> bool:
+        """Whether the summary is no business of this process, or nothing was run; which is said."""
+        if self.is_controller and self.only_shows:
+            reporter.write_line(f"{self.node}: nothing was run, so no verdict is told")
+        return self.only_shows or not self.is_controller
 
     @abstractmethod
     def item_content(self, item: pytest.Item) -> Any:

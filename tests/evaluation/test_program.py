@@ -219,6 +219,21 @@ def test_revision_is_told_and_does_not_count(project):
     assert program_of(a_method(project)).revision == f"{clean}+"
 
 
+def test_looking_at_the_revision_writes_nothing(project):
+    """A lock for the index would be in the way of whoever commits meanwhile, and stay if the run is
+    killed."""
+    git = ["git", "-C", str(project), "-c", "user.name=a", "-c", "user.email=a@b"]
+    for command in (["init", "-q"], ["add", "."], ["commit", "-qm", "one"]):
+        subprocess.run([*git, *command], check=True)
+    # what git would refresh in its index
+    os.utime(project / "adapter.py", (1, 1))
+    index = project / ".git" / "index"
+    before = index.stat()
+    program_of.cache_clear()
+    assert program_of(a_method(project)).revision
+    assert (index.stat().st_ino, index.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+
+
 def test_class_without_a_file_is_unknown():
     program_of.cache_clear()
     assert program_of(type("Loose", (), {"__module__": "__main__"})).code == UNKNOWN

@@ -344,12 +344,34 @@ def test_merge_is_guarded(ends, pytester):
     result.stderr.fnmatch_lines(["ERROR: the process of pytest ended with exit status 0 *"])
 
 
-SHOWS = ("--collect-only", "--help", "--markers", "--fixtures", "--version", "--cpas-list")
+#: What runs nothing, and whether our sessions are there to say so.
+SHOWS = {
+    "--collect-only": True,
+    "--fixtures": True,
+    "--fixtures-per-test": True,
+    "--cache-show": True,
+    "--setup-only": True,
+    "--setup-plan": True,
+    "--help": False,
+    "--markers": False,
+    "--version": False,
+    "--cpas-list": False,
+}
 
 
 @pytest.mark.parametrize("option", SHOWS)
-def test_what_only_shows_something_owes_no_verdict(ends, option):
-    assert ends(option).ret == 0
+def test_what_only_shows_something_tells_no_verdict(cpas, pytester, option):
+    run = ("-p", "cacheprovider", "--cpas-metrics=cpas", "--cpas-require-golden")
+    update = () if option == "--setup-plan" else ("--snapshot-update",)
+    result = cpas("Perfect", option, *run, *update, "--cpas-results=out", "--cpas-report=report")
+    output = result.stdout.str()
+    assert result.ret == 0
+    assert output.count("nothing was run, so no verdict is told") == 2 * SHOWS[option]
+    for word in ("samples judged", "rows:", "golden:", "contract:", "RECORDED", "passed"):
+        assert SHOWS[option] == 0 or word not in output
+    left = {path.name for path in pytester.path.iterdir()}
+    assert left.isdisjoint({"out", "report"})
+    assert not [*pytester.path.glob("golden/*")]
 
 
 def test_a_selection_without_any_item_is_no_success(ends):
