@@ -10,10 +10,10 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pytest_cpas.evaluation.surroundings import digest_again
+from pytest_cpas.evaluation.surroundings import digest_again, digest_of_start
 
 __all__ = ["Meanwhile", "Seen", "seen", "stamp"]
 
@@ -29,13 +29,15 @@ class Seen:
 
     ``stamp``: as of :func:`stamp`; ``digest``: that of its content, which may be written anew as it
     was; None where that may not be: by then, another content may have been there. ``told``: golden
-    tables tell of its content.
+    tables tell of its content. ``grows``: how many bytes it had, if what comes behind them
+    may be somebody's output, even that of this run; None if it may not.
     """
 
     name: str
     stamp: Stamp | None
     digest: str | None = None
     told: bool = True
+    grows: int | None = None
 
 
 def stamp(path: Path) -> Stamp | None:
@@ -60,6 +62,7 @@ class Meanwhile:
         """All ``files`` are watched."""
         self._files = {path: file for some in files for path, file in some.items()}
         self._changed: dict[str, bool] = {}
+        self._grown: set[str] = set()
         self._rests_until = 0.0
 
     @property
@@ -80,7 +83,7 @@ class Meanwhile:
 
     def add(self, names: Iterable[str], *, told: bool) -> None:
         """Take in what has changed."""
-        for name in names:
+        for name in set(names) - self._grown:
             self._changed[name] = told or self._changed.get(name, False)
 
     def look(self) -> None:
@@ -93,10 +96,15 @@ class Meanwhile:
             if now == file.stamp:
                 continue
             del self._files[path]
-            if file.digest is not None and file.digest == digest_again(path, file.digest):
-                self._files[path] = Seen(file.name, now, file.digest, file.told)
+            if now is None:
+                self.add([f"{file.name} (gone)"], told=file.told)
+            elif file.digest is not None and file.digest == digest_again(path, file.digest):
+                self._files[path] = replace(file, stamp=now)
+            elif file.grows is not None and file.digest == digest_of_start(path, file.grows):
+                self._files[path] = replace(file, stamp=now)
+                self._grown.add(file.name)
             else:
-                gone = "" if now else " (gone)"
-                self.add([f"{file.name}{gone}"], told=file.told)
+                self._grown.discard(file.name)
+                self.add([file.name], told=file.told)
         ended = time.monotonic()
         self._rests_until = ended + (ended - began) / _SHARE

@@ -27,7 +27,7 @@ import sysconfig
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from pytest_cpas.evaluation.meanwhile import Seen, seen
@@ -37,6 +37,7 @@ from pytest_cpas.evaluation.surroundings import (
     digests_of,
     files_around,
     is_installed,
+    may_grow,
 )
 from pytest_cpas.reading.files import read_bytes, sha256
 
@@ -45,7 +46,10 @@ __all__ = ["UNKNOWN", "Program", "found_programs", "look_again", "program_of", "
 #: The digest of a program whose sources are not on a disk.
 UNKNOWN = "unknown"
 
-_DESCRIBE = ("describe", "--always", "--dirty=+")
+#: Neither writes: describe --dirty has git's index refreshed, under a lock that a killed run would
+#: leave behind.
+_DESCRIBE = ("describe", "--always")
+_STATUS = ("status", "--porcelain", "--untracked-files=no")
 
 #: Seconds that git may take to tell the revision.
 _PATIENCE = 10.0
@@ -130,11 +134,14 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Prog
     around = files_around(search.files, search.texts, search.distributions())
     watched = seen({**search.data, **search.files, **around})
     digests = digests_of({**search.data, **around})
+    named = {PurePath(text).name for texts in search.texts.values() for text in texts}
     for path, file in watched.items():
         if path not in search.files:
             # a method may write what it has read; of a large file the digest is that of pieces
-            digest = digests.get(path) if file.stamp and file.stamp[2] <= WHOLE else None
-            watched[path] = replace(file, digest=digest, told=path in search.data)
+            size = file.stamp[2] if file.stamp else 0
+            digest = digests.get(path) if size <= WHOLE else None
+            grows = size if path.name not in named and may_grow(path) else None
+            watched[path] = replace(file, digest=digest, told=path in search.data, grows=grows)
     files = by_name(around, digests)
     return Program(search.digest(names), search.packages(), _revision(known[0]), files, watched)
 
@@ -314,10 +321,15 @@ def _named_files(texts: Collection[str], path: Path) -> Iterator[Path]:
 
 def _revision(source: Path) -> str:
     """The commit that a file is of; "" where there is no repository, or no git."""
+    commit, changed = (_git(source.parent, *command) for command in (_DESCRIBE, _STATUS))
+    return f"{commit}+" if commit and changed else commit
+
+
+def _git(folder: Path, *command: str) -> str:
+    """What git prints; "" if it cannot."""
     try:
         told = subprocess.run(  # noqa: S603 - a fixed command
-            # without the lock for its index, which a killed run would leave behind
-            ["git", "--no-optional-locks", "-C", source.parent, *_DESCRIBE],  # noqa: S607
+            ["git", "--no-optional-locks", "-C", folder, *command],  # noqa: S607
             capture_output=True,
             text=True,
             timeout=_PATIENCE,

@@ -29,10 +29,12 @@ __all__ = [
     "changed_names",
     "changes",
     "digest_again",
+    "digest_of_start",
     "digests_of",
     "files_around",
     "is_installed",
     "leave_out",
+    "may_grow",
     "named",
     "piecewise_digest",
     "united",
@@ -312,6 +314,21 @@ def by_name(files: Mapping[Path, str], digest_of: Mapping[Path, str]) -> dict[st
         if path in digest_of:
             digests[name].append(digest_of[path])
     return {name: " ".join(sorted(set(told))) for name, told in sorted(digests.items())}
+
+
+def digest_of_start(path: Path, size: int) -> str:
+    """What :func:`digests_of` would say of the first ``size`` bytes of a file, of at most
+    :data:`WHOLE`."""
+    try:
+        with opened(path, 2**50) as file:
+            return hashlib.sha256(file.read(size)).hexdigest()[:16]
+    except (DataError, OSError):
+        return "unreadable"
+
+
+def may_grow(path: Path) -> bool:
+    """Whether a file may be something's output by its name: it is neither code nor settings."""
+    return not _READ.fullmatch(path.name)
 
 
 def _told_size(size: int) -> str:

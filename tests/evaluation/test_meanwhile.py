@@ -186,6 +186,19 @@ def test_what_a_method_writes_as_it_was_has_not_changed(project):
     assert not run.changed_meanwhile(thoroughly=True)
 
 
+def test_what_grows_is_an_output(project):
+    """Such as that of ``pytest ... | tee out.txt``, unless the method's text names it."""
+    write(project / "out.txt", "first\n")
+    run = a_run(project)
+    for name in ("out.txt", "tables/mean.csv", SETTINGS):
+        with (project / name).open("a") as file:
+            file.write("more\n")
+        run.changed_meanwhile()
+    assert run.changed_meanwhile(thoroughly=True) == {SETTINGS: True}
+    write(project / "out.txt", "other and longer\n")
+    assert run.changed_meanwhile() == {SETTINGS: True, "out.txt": False}
+
+
 def test_what_was_imported_before_it_was_seen(project):
     """An edit after pytest began and before the program was looked for: which one was imported?"""
     before = time.time_ns() - 10**10
