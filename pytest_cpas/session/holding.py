@@ -13,6 +13,7 @@ import signal
 import sys
 import time
 import warnings
+from collections.abc import Sequence
 from typing import NoReturn
 
 import pytest
@@ -49,6 +50,7 @@ def hold(record: Record) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     parent = os.getpid()
+    ends = _resuming_pipe()
     # nothing may come between: neither a signal nor the end of the child is lost
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, handed_on | {signal.SIGCHLD})
     handler = signal.signal(signal.SIGCHLD, lambda *_: None)  # ignored ones would not be waited for
@@ -59,15 +61,38 @@ def hold(record: Record) -> None:
     except OSError as error:
         print(f"pytest-cpas: no process to guard the run ({error})", file=sys.stderr)
         pid = 0
+        _close(ends)
     else:
         if pid:
+            _close(ends[1:])
             _wait(pid, record, handed_on)
+        _close(ends[:1])
         _die_with(parent)
         record.held = True
     record.adopt()
     if handler is not None:
         signal.signal(signal.SIGCHLD, handler)
     signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _resuming_pipe() -> Sequence[int]:
+    """The reading and the writing end of a pipe. The first is for the parent, the second for the
+    child: when that ends, the kernel has the parent go on, should somebody have stopped it. Nothing
+    where no kernel does that."""
+    import fcntl
+
+    if not hasattr(fcntl, "F_SETSIG"):
+        return ()
+    reading, writing = os.pipe()
+    fcntl.fcntl(reading, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(reading, fcntl.F_SETSIG, signal.SIGCONT)
+    fcntl.fcntl(reading, fcntl.F_SETFL, fcntl.fcntl(reading, fcntl.F_GETFL) | os.O_ASYNC)
+    return reading, writing
+
+
+def _close(ends: Sequence[int]) -> None:
+    for end in ends:
+        os.close(end)
 
 
 def _die_with(parent: int) -> None:

@@ -110,6 +110,16 @@ def test_parent_that_was_stopped_goes_on(started):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process of such a death")
+@pytest.mark.parametrize("end", ["os._exit(0)", "os.execv('/bin/true', ['true'])"])
+def test_parent_that_was_stopped_hears_of_the_end(started, end):
+    stops = "open('waits', 'w').close(); os.kill(os.getppid(), signal.SIGSTOP)"
+    process = started(predict=f"{stops}; {end}")
+    output = process.communicate(timeout=60)[0].decode()
+    assert process.returncode == 1, output
+    assert "the process of pytest ended with exit status 0" in output
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process of such a death")
 def test_process_that_watches_and_was_killed_is_told(ends):
     kills = (
         "[os.kill(int(p), 9) for p in os.listdir('/proc') if p.isdigit() and os.getpgid(int(p))"
