@@ -27,11 +27,16 @@ def fact(name: str) -> Fact:
 
     What the best and the worst hypothesis are at joint limits is called ``best_10deg_2cm``,
     ``worst_5deg_1cm_f80``: degrees, a distance, and a percentage of F at 1 cm if it is limited.
-    Raises :class:`FactError` that lists the names.
+    Raises :class:`FactError` that lists the names, or says which distances an F-score may have.
     """
     if name in _FACTS:
         return _FACTS[name]
     if match := re.fullmatch(r"fscore_([1-9]\d{0,3})(mm|cm)", name):
+        if int(match[1]) * _MILLIMETRES[match[2]] > _LARGEST_DISTANCE:
+            raise FactError(
+                f"there is no fact {name!r}: the distance of an F-score is 1 to"
+                f" {_LARGEST_DISTANCE} mm, such as fscore_1cm or fscore_5mm"
+            )
         return _fscore(name, int(match[1]), match[2])
     if match := re.fullmatch(_JOINT, name):
         which = cast(Literal["best", "worst"], match[1])
@@ -40,6 +45,12 @@ def fact(name: str) -> Fact:
         f"there is no fact {name[:40]!r}; expected one of {', '.join(_FACTS)}, or one with its"
         " limits, such as fscore_1cm, fscore_5mm, best_10deg_2cm or worst_5deg_1cm_f80"
     )
+
+
+_MILLIMETRES = {"mm": 1, "cm": 10}
+
+#: Of an F-score, mm: whatever lies within half a metre of a thing to be held says nothing of it.
+_LARGEST_DISTANCE = 500
 
 
 def all_facts() -> list[Fact]:
@@ -58,7 +69,7 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 @functools.cache
 def _fscore(name: str, distance: int, unit: str) -> Fact:
-    metres = distance / {"mm": 1000, "cm": 100}[unit]
+    metres = distance * _MILLIMETRES[unit] / 1000
     # the paper's distance is its F-score: no need to name it
     told = "F" if metres == 0.01 else f"F({distance} {unit})"
     return Fact(
@@ -88,12 +99,11 @@ def _joint(
 ) -> Fact:
     conditions = [
         (fact("rotation_deg"), float(degrees)),
-        (fact("position_m"), int(distance) / {"mm": 1000, "cm": 100}[unit]),
+        (fact("position_m"), int(distance) * _MILLIMETRES[unit] / 1000),
     ]
     if f is not None:
         conditions.append((fact("fscore_1cm"), int(f) / 100))
-    limits = ";".join(made.limit_label(limit).replace(" ", "") for made, limit in conditions)
-    return joint_margin(name, which, limits, conditions)
+    return joint_margin(name, which, conditions)
 
 
 def _rotation(batch: AnswerBatch) -> Sequence[float]:
@@ -193,7 +203,7 @@ _FACTS: Mapping[str, Fact] = {
             definition("rotation_error", "symmetry-in-view").id(),
             "deg",
             "lower",
-            "{} deg",
+            "{} deg in view",
             _rotation_in_view,
         ),
         Fact(
@@ -201,7 +211,7 @@ _FACTS: Mapping[str, Fact] = {
             definition("iou", "oriented-symmetric-in-view").id(),
             "",
             "higher",
-            "IoU {}",
+            "IoU (in view) {}",
             _iou_in_view,
             _BOX,
         ),

@@ -29,6 +29,19 @@ Known: TypeAlias = Literal["shape", "camera"]
 SAME = 1e-3
 
 
+#: What those are called of which a limit tells less.
+_NOUNS = {
+    "position_m": "position error",
+    "position_relative": "position error over the diagonal",
+    "rotation_deg": "rotation error",
+    "rotation_in_view_deg": "rotation error in view",
+    "add_relative": "ADD over the diameter",
+    "adds_relative": "ADD-S over the diameter",
+    "add_or_adds_relative": "ADD(-S) over the diameter",
+    "mssd_relative": "MSSD over the diameter",
+}
+
+
 class FactError(ContractError):
     """A name that no fact has."""
 
@@ -81,6 +94,14 @@ class Fact:
     def limit_label(self, limit: float) -> str:
         """A limit for people: ``10 deg``, ``2 cm``, ``IoU 0.5``."""
         return self.pattern.format(f"{self.factor * limit:.10g}")
+
+    @property
+    def title(self) -> str:
+        """The fact itself for people, with the unit of its values: ``position error (m)``."""
+        noun = _NOUNS.get(self.name) or " ".join(self.pattern.split("{}")[0].split())
+        if self.of_all:
+            noun = self.pattern.format("share").replace(" %", "")
+        return f"{noun} ({self.unit})" if self.unit else noun
 
     def meets(self, values: Array, limit: float) -> NDArray[np.bool_]:
         """Which values are on the better side of a limit, or on it; NaN is not."""

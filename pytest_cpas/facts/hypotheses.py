@@ -20,15 +20,12 @@ _FARTHEST = 1e30
 def joint_margin(
     name: str,
     which: Literal["best", "worst"],
-    limits: str,
     conditions: Sequence[tuple[Fact, float]],
 ) -> Fact:
     """The fact that is at most 1 where the best (worst) hypothesis meets all ``conditions``.
 
     Of a hypothesis it is the largest of its errors over their limits (of scores that are better if
-    larger: the limit over the score), of an answer the least (greatest) of its hypotheses'.
-    ``limits``: the conditions as the definition's id tells them.
-    """
+    larger: the limit over the score), of an answer the least (greatest) of its hypotheses'."""
 
     def compute(batch: AnswerBatch) -> Sequence[float | None]:
         every, starts = batch.hypotheses
@@ -44,14 +41,17 @@ def joint_margin(
         return [None if np.isnan(margin) else margin for margin in found]
 
     made = [made for made, _ in conditions]
+    limits = [each.limit_label(limit) for each, limit in conditions]
+    told = ";".join(label.replace(" ", "") for label in limits)
     return Fact(
         name,
-        definition("joint_margin", f"{which}-hypothesis").id(limits=limits),
+        definition("joint_margin", f"{which}-hypothesis").id(limits=told),
         "",
         "lower",
-        f"{which} {{}}",
+        f"{which}: {{}} % of {', '.join(limits)}",
         compute,
         frozenset().union(*(each.needs for each in made)),
         frozenset().union(*(each.knows for each in made)),
+        factor=100,
         of_all=True,
     )

@@ -283,10 +283,12 @@ class _Spread:
             f" {self.columns[index].label} {_from_to(run)} correct, recorded {_from_to(recorded)};"
             f" p = {p:.1g})"
         )
-        for index in indices:
-            if (better := self.spread.p(scope, index, better=True)) < DOUBT:
-                seen = self._seen(scope, index, better)
-                words += f"; probably better at {self.columns[index].label} ({seen})"
+        gains = sorted((self.spread.p(scope, i, better=True), i) for i in indices)
+        if gains[0][0] < DOUBT:
+            better, index = gains[0]
+            seen, more = self._seen(scope, index, better), sum(p < DOUBT for p, _ in gains) - 1
+            words += f"; probably better at {self.columns[index].label} ({seen})"
+            words += f", as at {more} of the other columns" if more else ""
         loss = loss_words(self._lucky, self.columns, scope, self.alarm)
         if not loss and word is Word.MATCHES:
             word = Word.CANNOT_TELL

@@ -61,6 +61,10 @@ class Drift:
         """The same of better ones."""
         return _tail([-net for net in self.nets])
 
+    def summary(self) -> str:
+        """In a few words: in how many samples."""
+        return f"{self.fact} in {len(self.moved)} of {self.judged} samples"
+
     def told(self) -> str:
         """In words: how many samples, by how much, and the one that moved most."""
         made = fact(self.fact)

@@ -14,7 +14,7 @@ from scipy.special import bdtr
 from pytest_cpas.facts import SAME
 from pytest_cpas.golden.drift import Drift, drifts, may_not_move
 from pytest_cpas.golden.jitter import drift_words
-from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn, shared_facts
+from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn, first_few, shared_facts
 from pytest_cpas.golden.rankings import ranking_changes
 from pytest_cpas.golden.spread import Spread
 from pytest_cpas.golden.tables import RunTable
@@ -74,7 +74,7 @@ class Exact:
                 f" {wavering[0]}; the golden table has {self.golden.seeds}, without disagreement"
             )
         moved = list(drifts(pairing, self.columns, self._facts, self.new.scenes))
-        drift = [f"note: {each.told()}" for each in moved]
+        drift = [f"note: {self._told(each)}" for each in moved]
         if not lines:
             return (
                 self._drifted(pairing, moved, notes)
@@ -105,7 +105,8 @@ class Exact:
             return None
         head = (
             f"{len(lost)} samples lost and {len(gained)} gained on another platform, by facts that"
-            f" moved by less than {SAME:g} of themselves across a threshold:"
+            f" moved by less than {SAME:g} of themselves across a threshold of"
+            f" {first_few([column.label for tie, column in ties if tie])}"
         )
         lines = [
             head,
@@ -123,6 +124,16 @@ class Exact:
         moved = list(drifts(pairing, self.columns, self._facts, self.new.scenes))
         return self._drifted(pairing, moved, notes)
 
+    def _told(self, drift: Drift) -> str:
+        """How a fact moved, and the columns that are made of it."""
+        made_of = [
+            column.label
+            for protocol in self.new.protocols
+            for column in (*protocol.counts, *protocol.scores)
+            if drift.fact in (made.name for made in column.facts)
+        ]
+        return f"{drift.told()}{f'; judged in {first_few(made_of)}' if made_of else ''}"
+
     @property
     def _facts(self) -> Sequence[str]:
         return shared_facts(self.golden, self.new)
@@ -138,20 +149,23 @@ class Exact:
         if may_not_move(self.golden, self.new, pairing.category):
             head = (
                 "nothing flipped, but on the platform of the recording facts moved by more than"
-                f" {SAME:g} of themselves:"
+                f" {SAME:g} of themselves: {first_few(moved, Drift.summary)}"
             )
-            lines = [head, *(f"    {each.told()}" for each in moved)]
+            lines = [head, *(f"    {self._told(each)}" for each in moved)]
             return to_record(Word.CHANGED, pairing, lines, notes)
         level = self.level / len(self._facts)
         told: dict[Word, list[str]] = {}
+        names = []
         for word, direction in ((Word.REGRESSED, "worse"), (Word.IMPROVED, "better")):
+            found = [(each, p) for each in moved if (p := getattr(each, direction)) < level]
+            names += [f"{each.fact} {direction}" for each, _ in found]
             told[word] = [
-                f"    {each.told()}; {direction} in so many with p = {p:.1g}"
-                for each in moved
-                if (p := getattr(each, direction)) < level
+                f"    {self._told(each)}; {direction} in so many with p = {p:.1g}"
+                for each, p in found
             ]
         head = (
             "nothing flipped, but facts moved one way in more samples than another platform moves:"
+            f" {first_few(names)}"
         )
         lines = [head, *told[Word.REGRESSED], *told[Word.IMPROVED]]
         if told[Word.REGRESSED]:
@@ -169,7 +183,9 @@ class Exact:
         if not lines:
             return None
         word = next(word for word, group in told.items() if group)
-        lines.insert(0, "nothing flipped, but facts moved one way beside those of recorded seeds:")
+        names = [line.split()[0] for line in lines]
+        head = "nothing flipped, but facts moved one way beside those of recorded seeds:"
+        lines.insert(0, f"{head} {first_few(names)}")
         if word is Word.IMPROVED:
             return to_record(word, pairing, lines, notes)
         return Verdict(word, pairing.category, "\n  ".join([*lines, *notes]))

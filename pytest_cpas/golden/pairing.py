@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from typing import NamedTuple, TypeVar
 
 from pytest_cpas.golden.tables import RunTable, TableSample
 from pytest_cpas.protocols import Column, CountColumn
+from pytest_cpas.types import shortened
 from pytest_cpas.types.samples import ALL
 
 __all__ = [
@@ -22,6 +24,9 @@ __all__ = [
 ]
 
 _T = TypeVar("_T")
+
+#: Facts that are told of a sample, and characters of its words, such as why there is no answer.
+_FACTS_TOLD, _LONGEST = 6, 200
 
 #: Samples or detections that a message names before it only counts the rest.
 _NAMED = 8
@@ -184,11 +189,16 @@ class Pairing:
             ("n/a changed", flips.not_applicable),
         ):
             if names:
-                lines.append(f"    {what}: {first_few(names, self._described)}")
+                described = functools.partial(self._described, shared)
+                lines.append(f"    {what}: {first_few(names, described)}")
         return lines
 
-    def _described(self, name: str) -> str:
-        return f"{name} ({self.old[name].describe()} -> {self.new[name].describe()})"
+    def _described(self, shared: SharedColumn | None, name: str) -> str:
+        """A sample in both tables in words, with what a column is judged by, and little more."""
+        own = [made.name for made in shared.column.facts] if shared else []
+        told = list(dict.fromkeys([*own, *self.new[name].facts]))[:_FACTS_TOLD]
+        old, new = (shortened(t[name].describe(told), _LONGEST) for t in (self.old, self.new))
+        return f"{name} ({old} -> {new})"
 
     @property
     def other_samples(self) -> list[str]:

@@ -57,9 +57,10 @@ class TableSample(Answered):
         """Whether the seeds disagree."""
         return len(set(self.outcomes)) > 1
 
-    def describe(self) -> str:
-        """The facts in words."""
-        return describe(self.facts, self.failure)
+    def describe(self, names: Collection[str] | None = None) -> str:
+        """The facts in words, all of them or those of some ``names``."""
+        facts = self.facts if names is None else {k: v for k, v in self.facts.items() if k in names}
+        return describe(facts, self.failure)
 
     def is_close_to(self, other: TableSample) -> bool:
         """Whether nothing is judged otherwise, and no fact moved by more than its tolerance."""

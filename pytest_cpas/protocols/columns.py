@@ -19,13 +19,13 @@ __all__ = ["Column", "CountColumn", "Protocol", "ProtocolError", "RankingColumn"
 #: The most that a limit may be, by the unit of its fact; what lies beyond is taken for a mistake.
 _LARGEST: Mapping[str, float] = {"deg": 180.0, "m": 100.0, "px": 100_000.0, "": 1000.0}
 
-#: What a column can be judged by: the keys of which it has one.
-_KINDS: Mapping[str, str] = {
-    "at": "limits",
-    "area": "from and to",
-    "levels": "lists of limits",
-    "median": "a fact",
-    "ap": "limits",
+#: What a column can be judged by, the keys of which it has one: what it holds, and an example.
+_KINDS: Mapping[str, tuple[str, str]] = {
+    "at": ("facts and their limits", "{ rotation_deg = 5, position_m = 0.05 }"),
+    "area": ("facts, from and to", "{ iou = [0.25, 1.0] }"),
+    "levels": ("a fact and a list of limits", "{ mspd_px = [5, 10, 15] }"),
+    "median": ("the name of a fact", '"rotation_deg"'),
+    "ap": ("facts and their limits", "{ iou = 0.5 }"),
 }
 
 #: More levels than that are a slip of the pen.
@@ -99,7 +99,7 @@ class ScoreColumn(_Column):
     to the other, multiplied. Of one fact it is the area under the precision curve (AUC), of two the
     volume under the surface (VUS), over its width. ``bins``: the midpoint sum of so many thresholds
     per fact, 0 for the integral. With ``levels``: the mean of the share of those limits, per fact,
-    that the sample is strictly better than, multiplied; BOP calls it average recall. With
+    that the sample is strictly better than; BOP calls it average recall. With
     ``median``: the median of that fact over the samples.
     """
 
@@ -264,7 +264,7 @@ class _Parser:
         for kind in ("id", "label"):
             value, times = Counter(getattr(each, kind) for each in columns).most_common(1)[0]
             if times > 1:
-                raise self.fail(f"two columns have the {kind} {value!r}")
+                raise self.fail(f"two columns have the {kind} {value!r}; give one another {kind}")
         return Protocol(
             name=name,
             version=version,
@@ -291,7 +291,7 @@ class _Parser:
         if len(kinds) != 1:
             raise self.fail(
                 f"column {name} has {' and '.join(kinds) or 'no judgement'}, expected one of "
-                + ", ".join(f"{kind} ({told})" for kind, told in _KINDS.items())
+                + ", ".join(f"{kind} ({told})" for kind, (told, _) in _KINDS.items())
             )
         for key, kind in (("bins", "area"), ("matched", "ap")):
             if key in section and kinds != [kind]:
@@ -300,30 +300,35 @@ class _Parser:
         if kinds == ["at"]:
             limits = {
                 made.name: self.limit(name, made, value)
-                for made, value in self.facts(name, section["at"])
+                for made, value in self.facts(name, section, "at")
             }
             label = ", ".join(fact(key).limit_label(limit) for key, limit in limits.items())
             return CountColumn(**common(label=self.text(section, "label", label)), limits=limits)
         if kinds == ["ap"]:
             return self.ranking(section, common)
         if kinds == ["median"]:
+            if not isinstance(section["median"], str):
+                raise self.unlike(name, section, "median")
             made = self.fact(name, section["median"])
-            label = self.text(section, "label", f"median {made.name}")
+            label = self.text(section, "label", f"median {made.title}")
             return ScoreColumn(**common(label=label), areas={}, median=made.name)
         if kinds == ["levels"]:
             levels = {
                 made.name: self.levels(name, made, value)
-                for made, value in self.facts(name, section["levels"])
+                for made, value in self.facts(name, section, "levels")
             }
-            told = " x ".join(
-                f"{len(limits)} limits to {fact(key).limit_label(limits[-1])}"
-                for key, limits in levels.items()
-            )
-            label = self.text(section, "label", f"mean over {told}")
+            if len(levels) > 1:
+                raise self.fail(
+                    f"column {name}: levels of {' and '.join(levels)}, expected one fact, of whose"
+                    " limits it is the mean; give each a column, or judge them together by area"
+                )
+            [(key, limits)] = levels.items()
+            told = f"mean over {len(limits)} limits to {fact(key).limit_label(limits[-1])}"
+            label = self.text(section, "label", told)
             return ScoreColumn(**common(label=label), areas={}, levels=levels)
         areas = {
             made.name: self.ends(name, made, value)
-            for made, value in self.facts(name, section["area"])
+            for made, value in self.facts(name, section, "area")
         }
         bins = section.get("bins", 0)
         if type(bins) is not int or not 0 <= bins <= 10_000:
@@ -341,7 +346,7 @@ class _Parser:
         self, section: Mapping[str, object], common: Callable[..., dict[str, Any]]
     ) -> RankingColumn:
         name = self.text(section, "id")
-        made = self.facts(name, section["ap"])
+        made = self.facts(name, section, "ap")
         limits = {each.name: self.limit(name, each, value) for each, value in made}
         units = sorted((each.unit, each.better) for each, _ in made)
         if units not in ([("", "higher")], [("deg", "lower"), ("m", "lower")]):
@@ -368,10 +373,21 @@ class _Parser:
         except FactError as error:
             raise self.fail(f"column {column}: {error}") from None
 
-    def facts(self, column: str, section: object) -> list[tuple[Fact, object]]:
-        if not isinstance(section, dict) or not section:
-            raise self.fail(f"column {column}: {shown(section)}, expected facts and their limits")
-        return [(self.fact(column, name), value) for name, value in section.items()]
+    def unlike(self, column: str, section: Mapping[str, object], kind: str) -> ProtocolError:
+        """What to say of a judgement that does not hold what it must."""
+        told, example = _KINDS[kind]
+        return self.fail(
+            f"column {column}: {kind} is {shown(section[kind])}, expected {told}, such as"
+            f" {kind} = {example}"
+        )
+
+    def facts(
+        self, column: str, section: Mapping[str, object], kind: str
+    ) -> list[tuple[Fact, object]]:
+        judged_by = section[kind]
+        if not isinstance(judged_by, dict) or not judged_by:
+            raise self.unlike(column, section, kind)
+        return [(self.fact(column, name), value) for name, value in judged_by.items()]
 
     def limit(self, column: str, made: Fact, value: object) -> float:
         largest = 1.0 if made.better == "higher" else _LARGEST[made.unit]

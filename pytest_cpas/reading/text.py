@@ -15,14 +15,17 @@ from __future__ import annotations
 
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import IO, Any
 
 __all__ = [
+    "WIDTH",
     "csv_cell",
     "csv_text",
     "encodable",
     "everywhere",
+    "folded",
     "html",
     "latex",
     "markdown",
@@ -31,6 +34,9 @@ __all__ = [
     "terminal_line",
     "terminal_lines",
 ]
+
+#: Characters of a line of a terminal that is read at a glance.
+WIDTH = 100
 
 #: What has no width although Python calls it printable: joiners, fillers, variation selectors.
 _UNSEEN = re.compile(
@@ -70,6 +76,28 @@ def terminal_line(text: str) -> str:
 def terminal_lines(text: str) -> str:
     """Several lines of a terminal or of a log, with the tabs in them."""
     return _no_command(_seen(text.replace("\r\n", "\n"), keep="\n\t"))
+
+
+def folded(text: str) -> str:
+    """Text of which no line is longer than :data:`WIDTH`, as far as it has spaces; what a line goes
+    on with is set in."""
+    lines: list[str] = []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip(" ")) + 4)
+        lines += (
+            [line]
+            if len(line) <= WIDTH
+            else textwrap.wrap(
+                line,
+                WIDTH,
+                subsequent_indent=indent,
+                expand_tabs=False,
+                replace_whitespace=False,
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        )
+    return "\n".join(lines)
 
 
 def say(*texts: object, file: IO[str] | None = None) -> None:

@@ -34,6 +34,7 @@ from pytest_cpas.golden import orphans
 from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
 from pytest_cpas.reading.files import sha256
+from pytest_cpas.reading.text import folded
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.report.terminal import Terminal, shows_samples
@@ -325,7 +326,7 @@ class CpasSession(SuiteSession):
     def _report_verdict(self, session: pytest.Session, run: Run, verdict: Verdict) -> None:
         """Report a verdict as if it were an item."""
         outcome = verdict.outcome(self.options.require_golden)
-        message = str(verdict)
+        message = folded(str(verdict))
         if outcome == "skipped":
             message = f"{run.method} on {run.dataset}: {verdict}"
         nodeid = f"cpas::golden[{run.method}-{run.dataset}-{verdict.category}]"

@@ -6,6 +6,7 @@ import tomllib
 
 import pytest
 
+from pytest_cpas.facts import all_facts, fact
 from pytest_cpas.protocols import (
     PAPER,
     CountColumn,
@@ -52,7 +53,7 @@ def test_declaration_is_read():
     assert auc == ScoreColumn(
         protocol="mine", id="auc", label="AUC", areas={"iou": (0.25, 1.0)}, bins=10
     )
-    assert (middle.label, middle.better, auc.better) == ("median cd_m", "lower", "higher")
+    assert (middle.label, middle.better, auc.better) == ("median CD (m)", "lower", "higher")
     assert recall.levels == {"mspd_px": (5.0, 10.0)}
     assert (recall.label, recall.better) == ("mean over 2 limits to MSPD 10 px", "higher")
     names = ("position_m", "rotation_deg", "iou", "cd_m", "mspd_px")
@@ -80,8 +81,32 @@ def test_declaration_is_read():
         (with_column(at={"rotation": 5}), "column last: there is no fact 'rotation'; expected one"),
         (with_column(at={"fscore_0mm": 0.5}), "there is no fact 'fscore_0mm'"),
         (with_column(at={"fscore_99999mm": 0.5}), "there is no fact"),
-        (with_column(at={}), "column last: .*expected facts and their limits"),
-        (with_column(at=5), "column last: 5, expected facts and their limits"),
+        (with_column(at={"fscore_999cm": 0.5}), "the distance of an F-score is 1 to 500 mm, such"),
+        (with_column(at={"fscore_501mm": 0.5}), "there is no fact 'fscore_501mm': the distance"),
+        (
+            with_column(at={}),
+            "column last: at is {}, expected facts and their limits, such as at =",
+        ),
+        (
+            with_column(at=5),
+            "column last: at is 5, expected facts and their limits, such as at = {",
+        ),
+        (
+            with_column(area=[0, 1]),
+            r"column last: area is \[0, 1\], expected facts, from and to, such",
+        ),
+        (
+            with_column(levels=3),
+            "column last: levels is 3, expected a fact and a list of limits, such",
+        ),
+        (
+            with_column(ap="iou"),
+            "column last: ap is 'iou', expected facts and their limits, such as",
+        ),
+        (
+            with_column(levels={"mspd_px": [5], "iou": [0.5]}),
+            "column last: levels of mspd_px and iou, expected one fact",
+        ),
         (with_column(at={"iou": 1.1}), "column last: iou is 1.1, expected 0 to 1"),
         (with_column(at={"iou": -0.1}), "iou is -0.1, expected 0 to 1"),
         (with_column(at={"rotation_deg": 181}), "rotation_deg is 181 deg, expected 0 to 180 deg"),
@@ -109,7 +134,7 @@ def test_declaration_is_read():
         (with_column(levels={"iou": [0.5, 1.5]}), "iou is 1.5, expected 0 to 1"),
         (with_column(levels={"mspd_px": [1]}, bins=3), "bins belongs to area"),
         (with_column(median="median"), "there is no fact 'median'"),
-        (with_column(median=["iou"]), "there is no fact"),
+        (with_column(median=["iou"]), r"median is \['iou'\], expected the name of a fact, such as"),
         (with_column(), "column last has no judgement, expected one of at"),
         (with_column(at={"iou": 0.7}, median="iou"), "column last has at and median, expected one"),
         (with_column(at={"iou": 0.7}, guard="yes"), "guard is 'yes', expected true or false"),
@@ -119,7 +144,10 @@ def test_declaration_is_read():
         (with_column(at={"iou": 0.7}, id="x" * 61), "expected up to 60"),
         (with_column(at={"iou": 0.7}, id=""), "id is ''"),
         (with_column(at={"iou": 0.7}, id="tight"), "two columns have the id 'tight'"),
-        (with_column(at={"iou": 0.5}), "two columns have the label 'IoU 0.5'"),
+        (
+            with_column(at={"iou": 0.5}),
+            "two columns have the label 'IoU 0.5'; give one another label",
+        ),
         (with_column(at={"iou": 0.7}, label="AUC"), "two columns have the label 'AUC'"),
         (with_column(at={"iou": 0.7}, label="\x1b[31m"), "label is .*expected a line of text"),
         (with_column(at={"iou": 0.7}, label=""), "label is '', expected a line of text"),
@@ -193,3 +221,17 @@ def test_readme_of_a_protocol_can_be_written_by_hand():
     (column,) = Protocol.parse(tomllib.loads(text), "here").columns
     assert column.label == "5 deg, F(5 mm) 1"
     assert [made.name for made in column.facts] == ["rotation_deg", "fscore_5mm"]
+
+
+def test_labels_that_are_made_tell_every_fact_apart():
+    """Also those of facts with limits in their names; a median's has the unit of its number."""
+    names = [*(made.name for made in all_facts()), "fscore_5mm"]
+    names += [
+        f"{which}_{limits}" for which in ("best", "worst") for limits in ("9deg_2cm", "9deg_3cm")
+    ]
+    columns = [{"id": f"m{i}", "median": name} for i, name in enumerate(names)]
+    columns += [{"id": f"a{i}", "at": {name: 1}} for i, name in enumerate(names)]
+    protocol = Protocol.parse({"name": "mine", "columns": columns}, "here")
+    for column, name in zip(protocol.columns, names, strict=False):
+        assert name not in column.label
+        assert column.label.endswith(f" ({fact(name).unit})") is bool(fact(name).unit)

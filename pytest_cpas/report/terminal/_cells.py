@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from pytest_cpas.documents import CountDocument, PrecisionDocument, RunDocument, ScoreDocument
+from pytest_cpas.reading.text import WIDTH
 from pytest_cpas.report.intervals import KINDS, ends_of
 from pytest_cpas.report.tables import protocol_title, split_label
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["WIDTH", "guard_tables", "main_tables"]
-
-#: Characters of a line that is read at a glance.
-WIDTH = 100
+__all__ = ["guard_tables", "main_tables"]
 
 _Lines: TypeAlias = list[list[str]]
 

@@ -16,6 +16,7 @@ from pytest_cpas.documents import (
 )
 from pytest_cpas.golden import Word
 from pytest_cpas.golden.literature import LEGACY
+from pytest_cpas.reading.text import WIDTH, folded
 from pytest_cpas.report.intervals import interval_note
 from pytest_cpas.report.literature import (
     REMARK,
@@ -29,7 +30,7 @@ from pytest_cpas.report.messages import (
     speed_lines,
     verdict_message,
 )
-from pytest_cpas.report.terminal._cells import WIDTH, guard_tables, main_tables
+from pytest_cpas.report.terminal._cells import guard_tables, main_tables
 from pytest_cpas.report.terminal._table import FEW, Terminal
 
 #: Lines of the literature that stand beside a run, those nearest to it.
@@ -67,9 +68,13 @@ def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
             for verdict in group:
                 # the rest of what failed stands among the failures
                 first, *rest = verdict_message(verdict).splitlines()
-                terminal.write_line(f"golden: {first}", **colour)
+                told = f"golden: {first}"
+                if word != Word.RECORDED:  # a path stands where one looks for it
+                    told = folded(told)
+                for line in told.split("\n"):
+                    terminal.write_line(line, **colour)
                 if word in _TOLD and outcome != "failed":
-                    for line in rest:
+                    for line in folded("\n".join(rest)).split("\n") if rest else ():
                         terminal.write_line(line)
         else:
             names = ", ".join(verdict["category"] for verdict in group)
