@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -75,6 +76,22 @@ def command_line() -> argparse.ArgumentParser:
     golden.add_argument(
         "--golden", type=Path, default=Path("golden"), metavar="DIR", help="default: golden"
     )
+    noise = commands.add_parser(
+        "noise",
+        help="measure how far other platforms move what a golden table records",
+        description="Run pytest with the options that are given, such as --cpas-method and"
+        " --cpas-dataset, under other kernels of OpenBLAS, without newer instructions of the"
+        " processor, and both, and keep in the golden table how far facts moved. With"
+        " --results nothing is run: they are files of other machines, one for each. A flip that"
+        " such moves explain"
+        " is BORDERLINE on another platform, and more than they explain are REGRESSED.",
+    )
+    noise.add_argument(
+        "--results", nargs="+", default=[], metavar="FILE", help="a file of --cpas-results"
+    )
+    noise.add_argument(
+        "--golden", type=Path, default=Path("golden"), metavar="DIR", help="default: golden"
+    )
     fetching = commands.add_parser(
         "fetch",
         help="fetch a data set, or the weights of a method",
@@ -115,6 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for_pytest += [f"--cpas-protocol={name}" for name in options.protocol]
         guard.is_command = guard.is_command or arguments is None
         return int(pytest.main([*for_pytest, *rest]))
+    if options.command == "noise" and not (rest and options.results):
+        return _noise(options, rest)
     if rest:
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     if options.command == "fetch":
@@ -169,6 +188,24 @@ def _golden_diff(golden: Path, revision: str) -> int:
     if lines:
         say(*lines)
     return 1 if lines else 0
+
+
+def _noise(options: argparse.Namespace, rest: Sequence[str]) -> int:
+    from pytest_cpas.golden import GoldenError
+    from pytest_cpas.session.platforms import learn_noise, measured_runs
+
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            runs = {file: [Path(file)] for file in options.results}
+            if not runs:
+                for words, files in measured_runs(rest, Path(folder)):
+                    say(f"ran under {words}")
+                    runs[words] = files
+            say(*learn_noise(options.golden, runs))
+    except GoldenError as error:
+        say(f"pytest-cpas noise: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def _new_adapter(options: argparse.Namespace) -> int:

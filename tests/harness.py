@@ -1,7 +1,9 @@
 """What runs of pytest inside a test are started with, and what is the same in all of them."""
 
 import argparse
+import re
 
+import pytest
 import tiny
 
 from pytest_cpas.checks.contract import CONTRACT, MethodSubject, check_contract
@@ -45,3 +47,8 @@ class DeclaredOptions:
 
     def addini(self, *_: str, **keywords: object) -> None:
         pass
+
+
+def unfolded(result: pytest.RunResult) -> pytest.LineMatcher:
+    """What a run printed, with the lines put together that the terminal folds."""
+    return pytest.LineMatcher(re.sub(r"\n {4}(?=\S)", " ", result.stdout.str()).split("\n"))

@@ -12,6 +12,7 @@ from pytest_cpas.golden.comparison import compare
 from pytest_cpas.golden.exact import detectable_flips
 from pytest_cpas.golden.files import (
     find_golden,
+    keep_noise,
     orphans,
     read_golden,
     read_tables,
@@ -19,6 +20,7 @@ from pytest_cpas.golden.files import (
     shipped_golden,
 )
 from pytest_cpas.golden.jitter import recorded_words
+from pytest_cpas.golden.noise import Noise
 from pytest_cpas.golden.pairing import SharedColumn, shared_columns
 from pytest_cpas.golden.published import (
     PublishedCell,
@@ -50,6 +52,7 @@ __all__ = [
     "ALARM",
     "FORMAT",
     "GoldenError",
+    "Noise",
     "PublishedCell",
     "PublishedTime",
     "RunTable",
@@ -65,6 +68,7 @@ __all__ = [
     "differences",
     "find_golden",
     "golden_diff",
+    "keep_noise",
     "orphans",
     "published_cells",
     "published_curves",

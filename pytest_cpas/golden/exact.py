@@ -14,11 +14,13 @@ from scipy.special import bdtr
 from pytest_cpas.facts import SAME
 from pytest_cpas.golden.drift import Drift, drifts, may_not_move
 from pytest_cpas.golden.jitter import drift_words
+from pytest_cpas.golden.noise import at_least
 from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn, first_few, shared_facts
 from pytest_cpas.golden.rankings import ranking_changes
 from pytest_cpas.golden.spread import Spread
-from pytest_cpas.golden.tables import RunTable
+from pytest_cpas.golden.tables import RunTable, TableSample
 from pytest_cpas.golden.words import Word
+from pytest_cpas.protocols import RankingColumn
 from pytest_cpas.types import Verdict
 
 __all__ = ["Exact", "detectable_flips", "to_record"]
@@ -50,7 +52,10 @@ class Exact:
         ties: list[tuple[Flips, SharedColumn]] = []
         changes: list[tuple[Flips, SharedColumn | None]] = [*flipped]
         if not may_not_move(self.golden, self.new, pairing.category):
-            real = [(pairing.without_ties(column, flips), column) for flips, column in flipped]
+            real = [
+                (pairing.without_ties(column, flips, self.golden.noise), column)
+                for flips, column in flipped
+            ]
             changes = [(flips, column) for flips, column in real if flips]
             ties = [
                 (_difference(every, flips), column)
@@ -98,14 +103,19 @@ class Exact:
         ties: Sequence[tuple[Flips, SharedColumn]],
         notes: Sequence[str],
     ) -> Verdict | None:
-        """The verdict on flips of facts that hardly moved; None without any."""
+        """The verdict on flips of facts that hardly moved, or no further than other platforms moved
+        them; None without any."""
         lost = {name for flips, _ in ties for name in flips.lost}
         gained = {name for flips, _ in ties for name in flips.gained} - lost
         if not lost and not gained:
             return None
+        noise = self.golden.noise
+        by = f"by less than {SAME:g} of themselves"
+        if noise.platforms:
+            by += f" or no further than on {len(noise.platforms)} platforms where that was measured"
         head = (
             f"{len(lost)} samples lost and {len(gained)} gained on another platform, by facts that"
-            f" moved by less than {SAME:g} of themselves across a threshold of"
+            f" moved {by}, across a threshold of"
             f" {first_few([column.label for tie, column in ties if tie])}"
         )
         lines = [
@@ -117,7 +127,18 @@ class Exact:
         if p < self.level:
             lines.append(f"so many of them worse are improbable on either platform: p = {p:.1g}")
             return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *notes]))
+        if noise.platforms:
+            risks = [self._risk(pairing.old[name]) for name in pairing.both]
+            p = at_least(len(lost), risks)
+            lines.append(f"measured moves explain {sum(risks):.2g} of them on average: p = {p:.1g}")
+            if p < self.level:
+                return Verdict(Word.REGRESSED, pairing.category, "\n  ".join([*lines, *notes]))
         return Verdict(Word.BORDERLINE, pairing.category, "\n  ".join([*lines, *notes]))
+
+    def _risk(self, sample: TableSample) -> float:
+        """How probable it is that another platform loses a sample in some column."""
+        met = [column.column for column in self.columns if sample.outcome[column.old] == "1"]
+        return self.golden.noise.risk(sample.facts, met)
 
     def drifted(self, pairing: Pairing, notes: Sequence[str]) -> Verdict | None:
         """The verdict on the facts of all samples together; None if they may have moved so."""
@@ -129,8 +150,9 @@ class Exact:
         made_of = [
             column.label
             for protocol in self.new.protocols
-            for column in (*protocol.counts, *protocol.scores)
-            if drift.fact in (made.name for made in column.facts)
+            for column in protocol.columns
+            if not isinstance(column, RankingColumn)
+            and drift.fact in (made.name for made in column.facts)
         ]
         return f"{drift.told()}{f'; judged in {first_few(made_of)}' if made_of else ''}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +12,7 @@ import filelock
 
 from pytest_cpas._files import cache_folder, check_no_link, sync_folder
 from pytest_cpas.datasets.perturbed import RobustnessPoint
+from pytest_cpas.golden.noise import Noise
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
 from pytest_cpas.golden.points import (
     ROBUSTNESS,
@@ -33,6 +34,7 @@ from pytest_cpas.types.names import checked_name
 __all__ = [
     "find_golden",
     "is_recorded",
+    "keep_noise",
     "orphans",
     "read_golden",
     "read_tables",
@@ -119,6 +121,43 @@ def record(golden: Path, table: RunTable) -> Path:
             _write(golden, folder, table.method, kept)
             if own != folder:
                 _remove_moved(own)
+    except filelock.Timeout as error:
+        raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
+    except (OSError, DataError) as error:
+        raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
+    return folder
+
+
+def keep_noise(
+    golden: Path, method: str, dataset: str, measure: Callable[[RunTable], Noise]
+) -> Path:
+    """Write what ``measure`` says of the table below ``golden`` into it, and return its folder.
+
+    Raises :class:`GoldenError` as :func:`record`, and where there is no table of this form.
+    """
+    own, folder = _places(golden, method, dataset)
+    if own != folder:
+        raise GoldenError(
+            f"{dataset} is a point of a robustness profile: noise is measured of data sets as they"
+            " are"
+        )
+    if not is_recorded(folder):
+        raise GoldenError(
+            f"{folder}: there is no golden table; record one first (--snapshot-update)"
+        )
+    try:
+        check_no_link(golden, folder)
+        with _exclusive(folder, _PATIENCE):
+            finish(folder)
+            kept = _read_told(folder)
+            table = kept_tables(kept)[dataset]
+            if table.outdated:
+                raise GoldenError(
+                    f"{folder}: the golden table has an earlier form; record it anew first"
+                    " (--snapshot-update)"
+                )
+            kept = joined_kept(kept, replace(table, noise=measure(table)), None)
+            _write(golden, folder, method, kept)
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
     except (OSError, DataError) as error:

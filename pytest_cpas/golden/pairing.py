@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
+from pytest_cpas.golden.noise import Noise
 from pytest_cpas.golden.tables import RunTable, TableSample
 from pytest_cpas.protocols import Column, CountColumn
 from pytest_cpas.types import shortened
@@ -162,14 +163,16 @@ class Pairing:
             not_applicable=[],
         )
 
-    def without_ties(self, shared: SharedColumn, flips: Flips) -> Flips:
-        """The flips of samples of which a fact moved by more than its tolerance."""
+    def without_ties(self, shared: SharedColumn, flips: Flips, noise: Noise) -> Flips:
+        """The flips of samples of which a fact moved by more than its tolerance, and than ``noise``
+        explains."""
 
         def moved(name: str) -> bool:
             old, new = self.old[name].facts, self.new[name].facts
             pairs = [(made, old[made.name], new[made.name]) for made in shared.column.facts]
             return not all(
-                a is not None and b is not None and made.is_close(a, b) for made, a, b in pairs
+                a is not None and b is not None and noise.explains(made, a, b)
+                for made, a, b in pairs
             )
 
         return replace(

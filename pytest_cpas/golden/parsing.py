@@ -7,6 +7,7 @@ it is written anew and compared.
 from __future__ import annotations
 
 import io
+import itertools
 import math
 import re
 import sys
@@ -18,6 +19,7 @@ from typing import Any
 
 from pytest_cpas.evaluation import Answer
 from pytest_cpas.facts import Fact, fact
+from pytest_cpas.golden.noise import FactNoise, Noise
 from pytest_cpas.golden.tables import GoldenError, RunTable, table_samples
 from pytest_cpas.golden.texts import (
     DETECTION,
@@ -125,6 +127,7 @@ def table_of(
         seeds=seeds,
         ranking=ranking,
         own_provenance=_own_provenance(categories),
+        noise=_noise(content.get("noise", {})),
     )
 
 
@@ -150,6 +153,27 @@ def _own_provenance(categories: Mapping[str, Mapping[str, Any]]) -> dict[str, di
         if own:
             told[category] = own
     return told
+
+
+def _noise(section: Any) -> Noise:
+    """What was measured on other platforms."""
+    try:
+        if not section:
+            return Noise()
+        platforms, facts = section["platforms"], section.get("facts", {})
+        if not all(isinstance(each, str) for each in platforms):
+            raise TypeError
+        made = {}
+        for name, told in facts.items():
+            fact(name)
+            compared, sizes = told["compared"], tuple(map(float, told["sizes"]))
+            falls = all(a >= b > 0 for a, b in itertools.pairwise((math.inf, *sizes)))
+            if type(compared) is not int or not 2 ** len(sizes) // 2 <= compared or not falls:
+                raise TypeError
+            made[name] = FactNoise(compared, sizes)
+        return Noise(tuple(platforms), made)
+    except (KeyError, TypeError, AttributeError, ValueError):
+        raise GoldenError(f"{RUN}: [noise] is not what is recorded") from None
 
 
 def file_names(contents: Iterable[Mapping[str, Any]]) -> list[str]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from pytest_cpas.evaluation import Answer, Answered, Row, Run
 from pytest_cpas.facts import Facts, fact, in_order
+from pytest_cpas.golden.noise import Noise
 from pytest_cpas.protocols import (
     CountColumn,
     Protocol,
@@ -85,8 +86,9 @@ class RunTable:
     recorded by another run than the rest. ``listed`` counts per category the samples that there
     are, judged or not; ``seeds`` how often each sample was judged. ``ranking``: the detections of
     the data set, None where there are none, or no protocol ranks them. ``scenes``: of a run, by
-    sample. ``outdated``: it was read from files of an older form, which know less; ``misplaced``:
-    from a folder in which earlier versions kept it.
+    sample. ``noise``: how far other platforms move the facts, as far as it was measured.
+    ``outdated``: it was read from files of an older form, which know less; ``misplaced``: from a
+    folder in which earlier versions kept it.
     """
 
     method: str
@@ -101,6 +103,7 @@ class RunTable:
     ranking: Ranking | None = None
     own_provenance: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     scenes: Mapping[str, str] = field(default_factory=dict, compare=False)
+    noise: Noise = field(default_factory=Noise)
     outdated: bool = False
     misplaced: bool = field(default=False, compare=False)
 
@@ -221,6 +224,11 @@ class RunTable:
             and previous.definitions == self.definitions
             and not differences(previous.identity, self.identity)
         )
+        if kept and previous.outdated:
+            raise GoldenError(
+                "the golden table has an earlier form, which cannot keep its other categories;"
+                " record all categories together (leave out --cpas-category)"
+            )
         if kept and not same_kind:
             raise GoldenError(
                 "the cells of the other categories were made under other conditions; record all"
@@ -233,8 +241,9 @@ class RunTable:
                 name: old[name] if name in old and sample.is_close_to(old[name]) else sample
                 for name, sample in now.items()
             }
+        noise = previous.noise if same_kind else self.noise
         if not kept:
-            return replace(self, samples=now)
+            return replace(self, samples=now, noise=noise)
         still = {sample.category for sample in kept.values()}
         own = {name: told for name, told in previous.own_provenance.items() if name in still}
         if self.provenance != previous.provenance:
@@ -246,6 +255,7 @@ class RunTable:
             self,
             samples=kept | now,
             ranking=ranking,
+            noise=noise,
             provenance=previous.provenance,
             own_provenance=own,
         )

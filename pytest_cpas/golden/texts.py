@@ -19,6 +19,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from pytest_cpas._files import toml_string
+from pytest_cpas.facts import in_order
+from pytest_cpas.golden.noise import Noise
 from pytest_cpas.golden.tables import RunTable
 from pytest_cpas.protocols import Protocol
 from pytest_cpas.types.samples import ALL
@@ -119,7 +121,7 @@ def _condition_lines(table: RunTable) -> list[str]:
     lines += [f"detections = {str(table.ranking is not None).lower()}"]
     for title in ("identity", "definitions", "provenance"):
         lines += ["", f"[{title}]", *toml_lines(section(table, title))]
-    return lines
+    return [*lines, *_noise_lines(table.noise)]
 
 
 def section(table: RunTable, title: str) -> dict[str, str]:
@@ -153,6 +155,16 @@ def category_lines(
         lines += ["", f"[{key}]", *toml_lines(told)]
         if own:
             lines += ["", f"[{key}.provenance]", *own]
+    return lines
+
+
+def _noise_lines(noise: Noise) -> list[str]:
+    if not noise.platforms:
+        return []
+    lines = ["", "[noise]", *toml_lines({"platforms": list(noise.platforms)})]
+    for name in in_order(noise.facts):
+        told = {"compared": noise.facts[name].compared, "sizes": list(noise.facts[name].sizes)}
+        lines += ["", f"[noise.facts.{toml_key(name)}]", *toml_lines(told)]
     return lines
 
 

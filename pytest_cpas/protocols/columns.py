@@ -307,8 +307,6 @@ class _Parser:
         if kinds == ["ap"]:
             return self.ranking(section, common)
         if kinds == ["median"]:
-            if not isinstance(section["median"], str):
-                raise self.unlike(name, section, "median")
             made = self.fact(name, section["median"])
             label = self.text(section, "label", f"median {made.title}")
             return ScoreColumn(**common(label=label), areas={}, median=made.name)
@@ -322,8 +320,8 @@ class _Parser:
                     f"column {name}: levels of {' and '.join(levels)}, expected one fact, of whose"
                     " limits it is the mean; give each a column, or judge them together by area"
                 )
-            [(key, limits)] = levels.items()
-            told = f"mean over {len(limits)} limits to {fact(key).limit_label(limits[-1])}"
+            [(key, given)] = levels.items()
+            told = f"mean over {len(given)} limits to {fact(key).limit_label(given[-1])}"
             label = self.text(section, "label", told)
             return ScoreColumn(**common(label=label), areas={}, levels=levels)
         areas = {
@@ -368,7 +366,7 @@ class _Parser:
     def fact(self, column: str, name: object) -> Fact:
         try:
             if not isinstance(name, str) or len(name) > 60:
-                raise self.fail(f"column {column}: there is no fact {shown(name)}")
+                raise self.fail(f"column {column}: {shown(name)}, expected a fact such as 'iou'")
             return fact(name)
         except FactError as error:
             raise self.fail(f"column {column}: {error}") from None

@@ -1,10 +1,12 @@
 """Golden tables in the form of version 1: read, judged as far as they go, replaced."""
 
 import hashlib
+import shutil
 from dataclasses import replace
 
 import pytest
-from older_tables import record_older
+from harness import unfolded
+from older_tables import older_texts, record_older
 from tables import GOLDEN, a_row, a_run, rows, table, with_facts
 
 from pytest_cpas.golden import (
@@ -18,6 +20,7 @@ from pytest_cpas.golden import (
     record,
 )
 from pytest_cpas.golden.older import parse_older
+from pytest_cpas.golden.tables import table_samples
 
 #: The files of version 1, and of those that take their place.
 OLDER, FILES = {"table.toml", "samples.csv"}, {"run.toml", "facts.csv", "cpas.toml"}
@@ -238,6 +241,59 @@ def test_part_of_it_is_not_recorded(tmp_path):
     with pytest.raises(GoldenError, match="record all categories together"):
         record(tmp_path, RunTable.of(a_run(), mugs))
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.fixture
+def recorded_older(recorded, pytester):
+    """A run of pytest, and the folder of an older table in which nothing is known of some facts."""
+
+    def made(lacking):
+        folder = pytester.path / "golden" / "recorded" / "perfect" / "tiny"
+        new = read_golden(folder)
+        shutil.rmtree(folder)
+        samples = {
+            name: replace(
+                sample,
+                answers=tuple(
+                    replace(answer, facts={**answer.facts, **dict.fromkeys(lacking)})
+                    for answer in sample.answers
+                ),
+            )
+            for name, sample in new.samples.items()
+        }
+        folder.mkdir(parents=True)
+        for name, text in older_texts(rejudged(new, samples)).items():
+            (folder / name).write_text(text)
+        return recorded, folder
+
+    return made
+
+
+def rejudged(table, samples):
+    """The table with the facts of other samples, and what follows from them."""
+    answers = {name: (sample.category, sample.answers) for name, sample in samples.items()}
+    return replace(table, samples=table_samples(table.protocols, answers))
+
+
+@pytest.mark.parametrize("lacking", [(), ("iou", "fscore_1cm")])
+def test_one_category_of_it_is_not_recorded_and_the_table_stays(recorded_older, lacking):
+    """Also of a method that gives no box, or no shape: `--cpas-category mug --snapshot-update`."""
+    cpas, folder = recorded_older(lacking)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    result = cpas("Perfect", "--cpas-category=mug", "--snapshot-update")
+    assert result.ret == 1
+    unfolded(result).fnmatch_lines(
+        ["golden: NOT RECORDED: *earlier form*record all categories together (leave out *"]
+    )
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    # the category is judged all the same, as far as the table goes; what was n/a has changed
+    part = cpas("Perfect", "--cpas-category=mug", "--cpas-require-golden")
+    assert part.ret == bool(lacking)
+    word = "CHANGED mug: *0 of 0 -> 6 of 6 *" if lacking else "MATCHES mug: all 6 *"
+    unfolded(part).fnmatch_lines([f"golden: {word}", "golden: OUTDATED *"])
+    assert cpas("Perfect", "--snapshot-update").ret == 0
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert cpas("Perfect", "--cpas-category=mug", "--snapshot-update").ret == 0
 
 
 def test_it_is_found_where_the_newer_form_is(tmp_path):

@@ -134,7 +134,7 @@ def test_declaration_is_read():
         (with_column(levels={"iou": [0.5, 1.5]}), "iou is 1.5, expected 0 to 1"),
         (with_column(levels={"mspd_px": [1]}, bins=3), "bins belongs to area"),
         (with_column(median="median"), "there is no fact 'median'"),
-        (with_column(median=["iou"]), r"median is \['iou'\], expected the name of a fact, such as"),
+        (with_column(median=["iou"]), r"\['iou'\], expected a fact such as 'iou'"),
         (with_column(), "column last has no judgement, expected one of at"),
         (with_column(at={"iou": 0.7}, median="iou"), "column last has at and median, expected one"),
         (with_column(at={"iou": 0.7}, guard="yes"), "guard is 'yes', expected true or false"),

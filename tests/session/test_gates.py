@@ -1,7 +1,7 @@
 """What a gate is about: the categories that were asked for, all of them and no others."""
 
 import pytest
-from harness import RUN
+from harness import RUN, unfolded
 
 GATE = ("--cpas-require-golden",)
 
@@ -74,7 +74,7 @@ def test_one_table_that_is_not_recorded_does_not_stop_the_next(cpas, pytester):
     names = ("--cpas-method=second:Second", "--snapshot-update")
     result = cpas("Perfect", *names)
     assert result.ret == 1
-    result.stdout.fnmatch_lines(
+    unfolded(result).fnmatch_lines(
         ["golden: NOT RECORDED: *pass --cpas-jitter 2*", "golden: RECORDED: *second*"]
     )
 

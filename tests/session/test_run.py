@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from harness import KEPT, NOT_DEMANDED, RUN, DeclaredOptions
+from harness import KEPT, NOT_DEMANDED, RUN, DeclaredOptions, unfolded
 
 from pytest_cpas import plugin
 
@@ -210,13 +210,13 @@ def test_one_category_is_recorded_without_touching_the_others(recorded, pytester
     # cells that are kept must have been made under the same conditions
     result = recorded("Perfect", "--snapshot-update", "--cpas-category=mug", "--cpas-seed=2")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["golden: NOT RECORDED: *record all categories together"])
+    unfolded(result).fnmatch_lines(["golden: NOT RECORDED: *record all categories together"])
 
 
 def test_method_that_knows_fewer_categories_has_shrunk(recorded):
     result = recorded("OnlyMugs")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(
+    unfolded(result).fnmatch_lines(
         [
             "missing: perfect does not know bowl: 6 samples left out",
             "6 of 6 samples judged",
@@ -441,7 +441,7 @@ def test_golden_table_that_was_edited_is_refused(recorded, pytester):
     table.write_text(table.read_text().replace('10deg_2cm = "6/6"', '10deg_2cm = "5/6"'))
     result = recorded("Perfect")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(
+    unfolded(result).fnmatch_lines(
         ["golden: DAMAGED: *cpas.toml is not what follows from the other files*"]
     )
 
