@@ -13,6 +13,7 @@ from pytest_cpas.golden.exact import detectable_flips
 from pytest_cpas.golden.files import (
     find_golden,
     keep_noise,
+    left_over,
     orphans,
     read_golden,
     read_tables,
@@ -69,6 +70,7 @@ __all__ = [
     "find_golden",
     "golden_diff",
     "keep_noise",
+    "left_over",
     "orphans",
     "published_cells",
     "published_curves",

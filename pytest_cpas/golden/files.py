@@ -35,6 +35,7 @@ __all__ = [
     "find_golden",
     "is_recorded",
     "keep_noise",
+    "left_over",
     "orphans",
     "read_golden",
     "read_tables",
@@ -120,7 +121,8 @@ def record(golden: Path, table: RunTable) -> Path:
             kept = joined_kept(kept, table.recordable(previous), point)
             _write(golden, folder, table.method, kept)
             if own != folder:
-                _remove_moved(own)
+                with suppress(OSError):  # what is left is told of by left_over
+                    _remove_moved(own)
     except filelock.Timeout as error:
         raise GoldenError(f"{folder}: another update has held it for {_PATIENCE:g} s") from error
     except (OSError, DataError) as error:
@@ -163,6 +165,14 @@ def keep_noise(
     except (OSError, DataError) as error:
         raise GoldenError(f"{folder}: the golden table cannot be written ({error})") from error
     return folder
+
+
+def left_over(golden: Path, method: str, dataset: str) -> Path | None:
+    """The folder in which earlier versions kept the table of a point, if there still is one beside
+    the table that is read: it was damaged, or could not be removed."""
+    own, folder = _places(golden, method, dataset)
+    moved = own != folder and is_recorded(own) and is_recorded(folder)
+    return own if moved and dataset in read_tables(folder) else None
 
 
 def orphans(golden: Path, methods: set[str]) -> list[Path]:
@@ -259,8 +269,8 @@ def _remove_moved(own: Path) -> None:
     if not own.is_dir():
         return
     with _exclusive(own, _PATIENCE):
-        finish(own)
         try:
+            finish(own)
             if (own / RUN).exists():
                 names = [*kept_files(_text(own / RUN, _bytes(own / RUN))), RUN]
             else:

@@ -3,8 +3,9 @@
 ``METHOD/DATASET+robustness/`` has the files that the table of one run has. ``facts.csv`` and
 ``detections.csv`` have one column more, the perturbation and its severity, empty for what is not
 perturbed. ``run.toml`` and ``PROTOCOL.toml`` have a section for each point; what a section does not
-state is what stands above all of them. That stays what it is while it is true of any point, so that
-whoever records one of them anew changes no line of the others.
+state is what stands above all of them. That stays what it is while it is true of any point, and
+until then, recording a point anew changes nothing that is told of the others; only a fact that none
+of them had is a column more, empty in their lines.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ from pytest_cpas.golden import (
     compare,
     compare_published,
     find_golden,
+    left_over,
     published_cells,
     read_tables,
     record,
@@ -103,6 +104,8 @@ def record_run(
         written = record(folder, table)
         lines = [str(written), *recorded_words(read_tables(written)[run.dataset], alarm)]
         lines += _more_seeds_needed(run, table)
+        if left := left_over(folder, run.method, run.dataset):
+            lines.append(f"note: {left} is read no more, and could not be removed; remove it")
         verdict = Verdict(Word.RECORDED, ALL, "\n  ".join(lines))
     except GoldenError as error:
         verdict = Verdict(Word.NOT_RECORDED, ALL, str(error))

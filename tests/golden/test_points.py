@@ -21,11 +21,13 @@ from pytest_cpas.golden import (
     compare,
     find_golden,
     golden_diff,
+    left_over,
     orphans,
     read_golden,
     read_tables,
     record,
 )
+from pytest_cpas.golden.files import is_recorded
 from pytest_cpas.golden.points import Points, kept_texts, parse_kept
 from pytest_cpas.golden.texts import table_texts
 from pytest_cpas.protocols import shipped_protocol
@@ -260,6 +262,41 @@ def test_damaged_folder_of_a_point_is_neither_judged_nor_replaced(tmp_path):
     record(tmp_path / "b", at("light-1"))
     assert set(lines(other)) == {"run.toml", "facts.csv", "cpas.toml"}
     assert find_golden(tmp_path / "b", "m", "d+light-1") == at("light-1")
+    assert left_over(tmp_path / "b", "m", "d+light-1") == other
+
+
+@pytest.mark.parametrize("looked_at", ["d+light-1", "d+robustness"])
+def test_update_that_moves_a_point_while_it_is_looked_for(looked_at, tmp_path, monkeypatch):
+    in_its_own_folder(tmp_path, at("light-1"))
+
+    def moved_meanwhile(folder):
+        if folder.name == looked_at:
+            monkeypatch.undo()
+            record(tmp_path, at("light-1"))
+        return is_recorded(folder)
+
+    monkeypatch.setattr("pytest_cpas.golden.files.is_recorded", moved_meanwhile)
+    assert find_golden(tmp_path, "m", "d+light-1") == at("light-1")
+
+
+def test_folder_that_cannot_be_removed_is_told(tmp_path, monkeypatch):
+    folder = in_its_own_folder(tmp_path, at("light-1"))
+    assert left_over(tmp_path, "m", "d+light-1") is None
+    unlink = Path.unlink
+
+    def refusing(path, *args, **kwargs):
+        if path.parent == folder:
+            raise PermissionError(13, "no")
+        unlink(path, *args, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", refusing)
+        record(tmp_path, at("light-1"))
+    assert not find_golden(tmp_path, "m", "d+light-1").misplaced
+    assert left_over(tmp_path, "m", "d+light-1") == folder
+    record(tmp_path, at("light-1"))
+    assert left_over(tmp_path, "m", "d+light-1") is None
+    assert not folder.exists()
 
 
 def test_what_ships_is_found_point_by_point(tmp_path, monkeypatch):

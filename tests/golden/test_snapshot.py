@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from harness import RUN, unfolded
 
-from pytest_cpas.golden import read_golden
+from pytest_cpas.golden import read_golden, read_tables
 
 TEST = """
 from tiny import {method}, Tiny
@@ -234,3 +234,34 @@ def test_bad_number_of_seeds(cpas, count):
     result = cpas("Perfect", f"--cpas-jitter={count}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["*expected at least 1*"])
+
+
+POINTS = """
+import pytest
+from tiny import {method}, Tiny
+from pytest_cpas.datasets.perturbed import PERTURBATIONS, Perturbed
+from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.golden import RunTable
+
+@pytest.mark.parametrize("perturbation", [None, PERTURBATIONS["light"]])
+def test_table(perturbation, cpas_golden):
+    dataset = Perturbed(Tiny(None), perturbation, 1)
+    assert RunTable.of(MethodRun({method}(), dataset)) == cpas_golden
+"""
+
+
+def test_points_of_a_robustness_profile(cpas, pytester):
+    for method, update, failed in (
+        ("Perfect", True, 0),
+        ("Perfect", False, 0),
+        ("Biased", False, 2),
+    ):
+        pytester.makepyfile(test_own=POINTS.format(method=method))
+        result = pytester.runpytest_inprocess(*RUN, "test_own.py", *["--snapshot-update"] * update)
+        result.assert_outcomes(passed=2 - failed, failed=failed)
+    assert read_tables(
+        pytester.path / "golden" / "recorded" / "perfect" / "tiny+robustness"
+    ).keys() == {
+        "tiny+unperturbed",
+        "tiny+light-1",
+    }
