@@ -154,6 +154,7 @@ def kill_at_every_step(tmp_path, prepare, new, expected, others=None) -> RunTabl
         record(golden, new)
         assert find_golden(golden, "m", new.dataset) == expected
         assert files(golden) == set().union(*map(files_of, (expected, *(others or ()))))
+        assert len([*golden.glob("recorded/*/*")]) == 1
         if not died:
             break
         step += 1
