@@ -18,8 +18,9 @@ class Word(VerdictWord):
     AGREES = "AGREES WITH THE PAPER", "passed"
     #: The same, and an interval lies above what the paper prints.
     ABOVE = "ABOVE THE PAPER", "passed"
-    #: On another platform than that of the recording: samples flipped, but only where facts that
-    #: moved by less than the tolerance lie on a threshold, and about as often either way.
+    #: On another platform than that of the recording: samples flipped, but only by facts that moved
+    #: by less than the tolerance, or no further than was measured on other platforms, across a
+    #: threshold; about as often either way, and no more than such moves explain.
     BORDERLINE = "BORDERLINE", "passed"
     #: At some threshold more samples were lost than gained; they are named with their errors. Or
     #: facts got worse in so many samples that it is improbable without a change.
