@@ -33,10 +33,12 @@ def golden_diff(golden: Path, revision: str) -> Iterator[str]:
     }
     old: dict[str, RunTable] = {}
     new: dict[str, RunTable] = {}
-    for folder in sorted(then, key=_last_if_points):
-        old |= _titled(_tables_at(golden, folder, revision))
-    for folder in sorted(now, key=_last_if_points):
-        new |= _titled(read_tables(golden / folder))
+    for folder in sorted(then, key=_points_first):
+        if _title(folder) not in old:
+            old |= _titled(_tables_at(golden, folder, revision))
+    for folder in sorted(now, key=_points_first):
+        if _title(folder) not in new:
+            new |= _titled(read_tables(golden / folder))
     for title in sorted({*old, *new}):
         if title not in new:
             yield f"{title}: there is none any more"
@@ -46,10 +48,14 @@ def golden_diff(golden: Path, revision: str) -> Iterator[str]:
             yield from _changed(title, old[title], new[title])
 
 
-def _last_if_points(folder: Path) -> tuple[bool, Path]:
-    """The order of folders: what holds all points of a profile counts, where one of them has a
-    folder of its own as well."""
-    return folder.name.endswith(ROBUSTNESS), folder
+def _points_first(folder: Path) -> tuple[bool, Path]:
+    """The order of folders: where a point of a profile has one of its own as well, what is kept
+    with the other points counts."""
+    return not folder.name.endswith(ROBUSTNESS), folder
+
+
+def _title(folder: Path) -> str:
+    return "/".join(folder.parts[-2:])
 
 
 def _titled(tables: Mapping[str, RunTable]) -> dict[str, RunTable]:

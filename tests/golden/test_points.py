@@ -490,3 +490,11 @@ def test_golden_diff_names_flips_by_point(form, tmp_path):
     flip, there = golden_diff(tmp_path / "golden", "HEAD")
     assert flip.startswith("m/d+depth-noise-2: REGRESSED mug: 5 deg, 1 cm: 5 -> 4 of 5 correct")
     assert there == "m/d+light-1: there was none in HEAD"
+
+
+def test_golden_diff_is_of_what_is_read(tmp_path):
+    """What is left of the folder that a point had is not."""
+    branched(tmp_path)
+    for left in ("unperturbed", "depth-noise-1"):
+        (in_its_own_folder(tmp_path / "golden", at(left)) / "facts.csv").unlink()
+    assert list(golden_diff(tmp_path / "golden", "HEAD")) == []
