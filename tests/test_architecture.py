@@ -29,7 +29,8 @@ ARROWS: Mapping[str, set[str]] = {
     "datasets": {"reading", "similarity", "types", "_files", "_open3d"},
     "facts": {"metrics", "types"},
     "protocols": {"facts", "metrics", "reading", "types"},
-    "evaluation": {"protocols", "facts", "datasets", "metrics", "reading", "types", "_files"},
+    "submissions": {"datasets", "metrics", "reading", "types", "_files"},
+    "evaluation": {"submissions", "protocols", "facts", "datasets", "metrics", "reading", "types", "_files"},
     "golden": {"protocols", "facts", "evaluation", "metrics", "reading", "types", "_files"},
     "diagnosis": {"_deprecation", "facts", "golden", "evaluation", "metrics", "types"},
     "checks": {

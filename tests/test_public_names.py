@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 DOCUMENTED = {
     "pytest_cpas.comparison": ("compare", "Verdict", "Word"),
     "pytest_cpas.published": ("published_cells", "published_curves", "compare_published"),
-    "pytest_cpas.predictions": ("StoredRun", "read_frames", "assign_detections"),
+    "pytest_cpas.predictions": ("StoredRun",),
     "pytest_cpas.results": ("read_results", "Results", "Header", "Shard", "merge", "ResultsError"),
     "pytest_cpas.robustness": ("perturbed",),
     "pytest_cpas.checks.dataset.report": ("draw_up_axes",),

@@ -33,6 +33,7 @@ from pytest_cpas.types import (
     Symmetry,
     raised_as,
 )
+from pytest_cpas.types.datasets import mask_box
 
 #: Most meshes kept at a time: the largest data sets have more than fit into memory.
 _MESHES = 64
@@ -109,6 +110,15 @@ class RecordTree(Tree):
         except ContractError as error:
             raise DataError(f"{ref.id}: {error}") from None
 
+    def box(self, ref: SampleRef) -> Array | None:
+        """The 2-D box of what is seen of an object: that of its mask."""
+        record = Record(*self._details[ref.id])
+        if ref.id in self.absent or record.mask is None:
+            return super().box(ref)
+        width, height, *intrinsics = record.camera
+        camera = Camera(int(width), int(height), *intrinsics)
+        return mask_box(self._listed_mask(record, record.mask, camera))
+
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
         return symmetry_of(ref.category)
 
@@ -116,8 +126,7 @@ class RecordTree(Tree):
         self, record: Record, truth: GroundTruth, depth: NDArray[np.float32], camera: Camera
     ) -> NDArray[np.bool_]:
         if record.mask is not None:
-            ids = self._read_ids(self.root / record.mask, camera)
-            mask = ids > 0 if record.mask_id is None else ids == record.mask_id
+            mask = self._listed_mask(record, record.mask, camera)
             where = record.mask
         elif isinstance(truth.surface, Mesh):
             mask = _visible(truth.surface, truth.pose, depth, camera)
@@ -130,6 +139,11 @@ class RecordTree(Tree):
 
     def _read_mesh(self, name: str) -> Mesh | Array:
         return read_mesh(self.root / name, self.mesh_axes)
+
+    def _listed_mask(self, record: Record, path: str, camera: Camera) -> NDArray[np.bool_]:
+        ids = self._read_ids(self.root / path, camera)
+        mask: NDArray[np.bool_] = ids > 0 if record.mask_id is None else ids == record.mask_id
+        return mask
 
     def add_seen(self, scan: Scan, listed: Sequence[tuple[SampleRef, Record]]) -> None:
         """List the samples of which their mask has a pixel. This opens the masks."""

@@ -20,6 +20,9 @@ class Tree(Dataset):
     An image is decoded once for the objects of its frame.
     """
 
+    #: Whether an image has several objects: then an id ends with the object's place in its image.
+    several = True
+
     def __init__(self, name: str, root: Path) -> None:
         """List the samples."""
         self.name = name
@@ -41,6 +44,10 @@ class Tree(Dataset):
     @abstractmethod
     def scan(self, scan: Scan) -> None:
         """List the samples of the tree to ``scan``."""
+
+    def image(self, ref: SampleRef) -> str:
+        """The image that a sample is in."""
+        return ref.id.rpartition("/")[0] if self.several else ref.id
 
     @abstractmethod
     def truth(self, ref: SampleRef) -> GroundTruth:

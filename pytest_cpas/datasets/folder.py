@@ -144,6 +144,10 @@ class Folder(RecordTree):
             symmetry=symmetry,
         )
 
+    def image(self, ref: SampleRef) -> str:
+        """The colour image that a sample is in."""
+        return Record(*self._details[ref.id]).rgb
+
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
         if record.symmetry is None:
             return symmetry_of(ref.category)

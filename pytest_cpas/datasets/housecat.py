@@ -54,6 +54,8 @@ _MODELS = "obj_models_small_size_final"
 class HouseCat6D(RecordTree):
     """The test scenes of HouseCat6D."""
 
+    classes = CATEGORIES
+
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/housecat6d``; FileNotFoundError says how."""
         super().__init__("housecat6d", find_root("housecat6d", data_dir, _MODELS))

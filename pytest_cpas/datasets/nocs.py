@@ -12,7 +12,9 @@
 
 ``gt_RTs`` belong to the objects in ascending mask id, distractors left out. Its object axes, and
 those of the meshes, are NOCS's; both are turned into the ShapeNet frame here. A tree may be
-partial: what is there is listed, what is missing is named once.
+partial: what is there is listed, what is missing is named once. Of a frame without images only the
+truth is known, by which stored predictions are judged. Where it has no meta file either, its
+ground truth must have ``gt_class_ids`` and ``gt_scales`` (n, 3), relative to the scale.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +52,8 @@ from pytest_cpas.types import (
     Symmetry,
     raised_as,
 )
+from pytest_cpas.types._arrays import finite_array
+from pytest_cpas.types.datasets import mask_box
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
 
 REAL_CAMERA = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
@@ -58,6 +62,9 @@ REAL_CAMERA = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
 SYMMETRIC_CATEGORIES = frozenset({"bottle", "bowl", "can"})
 
 _FRAME_FILE = re.compile(r"(\d+)_(?:color|depth|mask|coord|meta)\.")
+_IMAGES = ("color", "depth", "mask", "coord")
+
+_TRUTH_FILE = re.compile(r"results_real_test_(scene_\d+)_(\d+)\.pkl")
 
 
 @functools.cache
@@ -67,7 +74,10 @@ def symmetry_of(category: str) -> Symmetry:
 
 
 class Listed(NamedTuple):
-    """A line of a frame's meta file, which of the frame's poses is its, and how many there are."""
+    """A line of a frame's meta file, which of the frame's poses is its, and how many there are.
+
+    ``model`` is empty and ``mask_id`` -1 where there is no meta file.
+    """
 
     mask_id: int
     category: str
@@ -101,24 +111,47 @@ class NocsTree(Tree):
     def scan(self, scan: Scan) -> None:
         """List the objects of every frame of which all files are there."""
         listed: list[tuple[str, list[Listed]]] = []
-        for scene in sorted(scan.names(self.frames), key=natural):
-            matches = map(_FRAME_FILE.match, scan.names(f"{self.frames}/{scene}"))
-            for number in sorted({match[1] for match in matches if match}):
-                frame = f"{scene}/{number}"
-                lacks = [kind for kind, path in self._files(frame).items() if not scan.has(path)]
+        absent = []
+        for frame in self._frames(scan):
+            lacks = [kind for kind, path in self._files(frame).items() if not scan.has(path)]
+            if self._is_only_truth(scan, frame):
+                absent.append(frame)
+            elif lacks:
                 for kind in lacks:
                     scan.lacks(f"frames without {kind}", frame)
-                if not lacks:
-                    listed += self._scan_frame(scan, frame)
+                continue
+            listed += self._scan_frame(scan, frame)
+        if absent:
+            scan.missing.append(
+                f"images of {len(absent)} frames, first {absent[0]}: only their truth is there, by"
+                " which stored predictions are judged, and no method"
+            )
         listed = self._seen(scan, listed)
-        left_out = self._scan_models(scan, Counter(o.model for _, os in listed for o in os))
+        models = Counter(o.model for _, os in listed for o in os if o.model)
+        left_out = self._scan_models(scan, models)
+        without_images = set(absent)
         for frame, objects in listed:
             for item in objects:
                 if item.model not in left_out:
-                    ref_id, scene = f"{frame}/{item.mask_id}", frame.split("/")[0]
+                    place = item.mask_id if item.model else f"gt{item.pose_index}"
+                    ref_id, scene = f"{frame}/{place}", frame.split("/")[0]
                     category, model = item.category, item.model
                     ref = SampleRef(id=ref_id, category=category, scene=scene, model=model)
                     scan.add(ref, item)
+                    if frame in without_images:
+                        scan.absent.append(ref_id)
+
+    def _frames(self, scan: Scan) -> list[str]:
+        """The frames of which there is a file, in order."""
+        frames = []
+        for scene in sorted(scan.names(self.frames), key=natural):
+            matches = map(_FRAME_FILE.match, scan.names(f"{self.frames}/{scene}"))
+            frames += [f"{scene}/{number}" for number in sorted({m[1] for m in matches if m})]
+        return frames
+
+    def _is_only_truth(self, scan: Scan, frame: str) -> bool:
+        """Whether the truth about a frame is there, and no image of it: here never."""
+        return False
 
     def _files(self, frame: str) -> dict[str, str]:
         """What makes a frame: paths by kind, described for people."""
@@ -131,12 +164,33 @@ class NocsTree(Tree):
 
     def _scan_frame(self, scan: Scan, frame: str) -> list[tuple[str, list[Listed]]]:
         try:
-            text = scan.read(f"{self.frames}/{frame}_meta.txt").decode("utf-8", "replace")
+            meta = f"{self.frames}/{frame}_meta.txt"
+            if not scan.has(meta):
+                return [(frame, self._read_classes(scan, frame))]
+            text = scan.read(meta).decode("utf-8", "replace")
             self._scan_truth(scan, frame)
             return [(frame, self._read_meta(frame, text))]
         except ContractError as error:
             scan.damaged.append(str(error))
             return []
+
+    def _read_classes(self, scan: Scan, frame: str) -> list[Listed]:
+        """The objects of a frame without a meta file, from its ground truth."""
+        path = self.root / _truth_path(frame)
+        self._scan_truth(scan, frame)
+        ids = self._read_truth(path).get("gt_class_ids")
+        if (
+            not isinstance(ids, np.ndarray)
+            or ids.ndim != 1
+            or ids.dtype.kind not in "iu"
+            or (ids.size and not (ids.min() >= 1 and ids.max() <= len(CATEGORIES)))
+        ):
+            raise DataError(
+                f"{path}: gt_class_ids are not class ids (n,) of 1 to {len(CATEGORIES)}, and there"
+                f" is no {self.frames}/{frame}_meta.txt that says which objects are there"
+            )
+        categories = [CATEGORIES[i - 1] for i in ids.tolist()]
+        return [Listed(-1, name, "", i, len(ids)) for i, name in enumerate(categories)]
 
     def _scan_truth(self, scan: Scan, frame: str) -> None:
         """Add to the digest what the truth comes from."""
@@ -211,7 +265,7 @@ class NocsTree(Tree):
         item = Listed(*self._details[ref.id])
         frame = ref.id.rsplit("/", 1)[0]
         path = self.root / _truth_path(frame)
-        matrices = self._poses(path)
+        matrices, sizes = self._poses(path)
         if item.poses != len(matrices):
             raise DataError(
                 f"{path}: {len(matrices)} poses, but the meta file lists {item.poses} objects;"
@@ -225,7 +279,11 @@ class NocsTree(Tree):
                 " cube of a positive scale"
             )
         rotation = scaled[:3, :3] / np.cbrt(determinant)
-        mesh, extents = self._mesh(item.model)
+        mesh, extents = None, None if sizes is None else sizes[item.pose_index]
+        if item.model:
+            mesh, extents = self._mesh(item.model)
+        if extents is None:
+            raise DataError(f"{path}: no gt_scales, and no meta file that names the model")
         try:
             pose = Pose(rotation @ NOCS_FROM_SHAPENET, scaled[:3, 3])
             return GroundTruth(
@@ -242,8 +300,20 @@ class NocsTree(Tree):
     def _depth(self, frame: str) -> NDArray[np.float32]:
         return self._read_depth(self.root / f"{self.frames}/{frame}_depth.png", self.camera)
 
-    def _read_poses(self, path: Path) -> Array:
-        poses = load_numpy_pickle(path).get("gt_RTs")
+    def box(self, ref: SampleRef) -> Array | None:
+        """The 2-D box of what is seen of an object: that of its mask."""
+        if ref.id in self.absent:
+            return None
+        frame = ref.id.rsplit("/", 1)[0]
+        return mask_box(self._ids(frame) == Listed(*self._details[ref.id]).mask_id)
+
+    def _read_truth(self, path: Path) -> dict[str, Any]:
+        return load_numpy_pickle(path)
+
+    def _read_poses(self, path: Path) -> tuple[Array, Array | None]:
+        """Poses (n, 4, 4), and extents (n, 3) in ShapeNet axes, metres, if they are there."""
+        truth = self._read_truth(path)
+        poses, sizes = truth.get("gt_RTs"), truth.get("gt_scales")
         if (
             not isinstance(poses, np.ndarray)
             or poses.shape[1:] != (4, 4)
@@ -252,7 +322,14 @@ class NocsTree(Tree):
         ):
             raise DataError(f"{path}: gt_RTs is not an array (n, 4, 4) of finite numbers")
         check_last_rows(poses, f"{path}: gt_RTs")
-        return poses.astype(np.float64)
+        poses = poses.astype(np.float64)
+        if sizes is None:
+            return poses, None
+        sizes = finite_array(sizes, f"{path}: gt_scales")
+        if sizes.shape != (len(poses), 3):
+            raise DataError(f"{path}: gt_scales has shape {sizes.shape}, expected (n, 3)")
+        scales = np.cbrt(np.abs(np.linalg.det(poses[:, :3, :3])))
+        return poses, scales[:, None] * sizes @ np.abs(NOCS_FROM_SHAPENET)
 
     def _read_mesh(self, model: str) -> tuple[Mesh | None, Array]:
         """A model's mesh, if there is one, and its extents, metres."""
@@ -272,8 +349,27 @@ class Real275(NocsTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
-        root = find_root("real275", data_dir, self.frames)
+        root = find_root("real275", data_dir, "gts/real_test")
         super().__init__("real275", root, REAL_CAMERA)
+
+    def _frames(self, scan: Scan) -> list[str]:
+        """Those of which there is an image or the truth."""
+        truths = map(_TRUTH_FILE.fullmatch, scan.names("gts/real_test"))
+        known = {f"{match[1]}/{match[2]}" for match in truths if match}
+        return sorted({*super()._frames(scan), *known}, key=natural)
+
+    def _is_only_truth(self, scan: Scan, frame: str) -> bool:
+        """Whose the poses are is said by the meta file or by the ground truth itself."""
+        truth = _truth_path(frame)
+        stem = f"{self.frames}/{frame}"
+        if not scan.has(truth) or any(scan.has(f"{stem}_{kind}.png") for kind in _IMAGES):
+            return False
+        if scan.has(f"{stem}_meta.txt"):
+            return True
+        try:
+            return "gt_class_ids" in self._read_truth(self.root / truth)
+        except ContractError:
+            return True  # which listing it will tell
 
 
 def _truth_path(frame: str) -> str:

@@ -47,6 +47,8 @@ class Redwood75(RecordTree):
     can be had but not their images.
     """
 
+    several = False
+
     camera = REDWOOD_CAMERA
     mesh_axes = _SHAPENET_FROM_ANNOTATION
 

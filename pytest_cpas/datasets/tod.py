@@ -62,6 +62,8 @@ class Model(NamedTuple):
 class Tod(RecordTree):
     """All sequences of TOD."""
 
+    several = False
+
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/tod``; FileNotFoundError says how."""
         super().__init__("tod", find_root("tod", data_dir, "objects"))

@@ -39,6 +39,8 @@ _ANNOTATIONS = "test_set/pkl_annotations"
 class Wild6D(RecordTree):
     """The test set of Wild6D."""
 
+    several = False
+
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``wild6d`` in it; FileNotFoundError says how."""
         root = find_root("wild6d", data_dir, _ANNOTATIONS, "Wild6D")

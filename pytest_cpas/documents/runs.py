@@ -1,6 +1,6 @@
 """One run: a method on a data set. Lengths in metres, angles in degrees; None is n/a."""
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from pytest_cpas.documents._allowed import Allowed, Natural, NotNegative, Positive, Share
 from pytest_cpas.documents.counts import CurvesDocument, PrecisionDocument, ScoreDocument
@@ -165,6 +165,9 @@ class RunDocument(TypedDict):
     seeds: Positive
     missing: Annotated[
         list[str], "Parts of the data set that are not there, or that the method does not know."
+    ]
+    notes: Annotated[
+        NotRequired[list[str]], "What else people should know of what was judged, such as a file."
     ]
     problems: Annotated[list[str], "What is wrong with the data set."]
     verdicts: list[VerdictDocument]

@@ -7,7 +7,6 @@ from pytest_cpas.evaluation.estimates import (
     encode_estimate,
     encode_shape,
 )
-from pytest_cpas.evaluation.frames import assign_detections, read_frames
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.merging import MergedRun, merge
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
@@ -45,7 +44,6 @@ __all__ = [
     "Shard",
     "StoredRun",
     "Watchdog",
-    "assign_detections",
     "can_watch",
     "check_answers",
     "decode_estimates",
@@ -60,7 +58,6 @@ __all__ = [
     "merge",
     "named",
     "parse_seconds",
-    "read_frames",
     "read_results",
     "take_programs",
 ]

@@ -1,88 +1,48 @@
 """Stored predictions as input: what somebody else's run of a method gave.
 
-Three forms are read, all with the field's keys (``gt_class_ids``, ``gt_bboxes``, ``gt_RTs``,
-``gt_scales``, ``pred_class_ids``, ``pred_bboxes``, ``pred_scores``, ``pred_RTs``, ``pred_scales``;
-poses are 4 x 4, rotation times scale, in NOCS object axes):
-
-* a pickle ``results_*_scene_S_NNNN.pkl`` of one frame, or a folder of them;
-* an ``.npz`` with the rows of all frames one after the other, ``frame`` (their names) and
-  ``gt_offset`` / ``pred_offset`` (where each frame's rows begin).
-
-The detections of a frame are assigned to its ground truth per class, one to one, by descending
-2-D box IoU, at least 0.5. A ground truth without a detection counts as not correct.
+The truth is that of a data set, or, where none is named, what the file says itself.
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pytest_cpas.datasets.nocs import symmetry_of
-from pytest_cpas.evaluation.frames import (
-    REQUIRED,
-    Frame,
-    assign_detections,
-    detection_order,
-    read_frames,
-)
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.facts import Detected, pair_table
 from pytest_cpas.protocols import Protocol, Ranking, facts_of, rank, ranking_columns
+from pytest_cpas.submissions import (
+    OwnTruth,
+    Pairing,
+    failures,
+    hypothesis,
+    in_half_precision,
+    read_submission,
+    symmetry_in_view,
+)
 from pytest_cpas.types import (
     CATEGORIES,
-    AnswerError,
-    Array,
     ContractError,
-    DataError,
+    Dataset,
     GroundTruth,
     Hypothesis,
     MethodInfo,
-    Pose,
     Prediction,
     SampleRef,
-    Symmetry,
+    as_dataset,
 )
-from pytest_cpas.types._arrays import frozen_array
-from pytest_cpas.types.datasets import STORED
-from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents, to_standard
+from pytest_cpas.types.frames import to_standard
 
+__all__ = ["StoredRun"]
 
-def _posed_box(scaled: NDArray[Any], relative: NDArray[Any]) -> tuple[Array, Array, Array]:
-    """Rotation (3, 3), translation (3,) and extents (3,), metres, of a (4, 4) similarity and a box
-    relative to its scale."""
-    scaled = frozen_array(scaled, (4, 4), "the pose")
-    if not np.allclose(scaled[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
-        raise DataError(
-            f"the pose's last row is {scaled[3].tolist()}, expected 0, 0, 0, 1; is it transposed?"
-        )
-    determinant = float(np.linalg.det(scaled[:3, :3]))
-    if not determinant > 0:
-        raise DataError(
-            f"the pose has determinant {determinant:g}, expected the cube of a positive scale"
-        )
-    scale = np.cbrt(determinant)
-    extents = frozen_array(relative, (3,), "the scales") * scale
-    return scaled[:3, :3] / scale, scaled[:3, 3], extents
-
-
-def _digest_of_truths(frames: Mapping[str, Frame]) -> str:
-    """That of the ground truth of all frames, whatever their order in the file."""
-    digest = hashlib.sha256()
-    for name in sorted(frames):
-        for key in REQUIRED:
-            if key.startswith("gt"):
-                digest.update(np.ascontiguousarray(frames[name][key]).tobytes())
-    return digest.hexdigest()
+#: Samples that are measured at once.
+_BATCH = 512
 
 
 class StoredRun(Run):
@@ -92,159 +52,169 @@ class StoredRun(Run):
         self,
         path: Path,
         *,
+        dataset: Dataset | None = None,
         selection: Selection | None = None,
         protocols: Sequence[Protocol] | None = None,
     ) -> None:
-        """Read the file or folder; nothing is judged yet."""
-        self._frames: dict[str, Frame] = {}
-        self._places: dict[str, tuple[str, int]] = {}
-        #: The truths of samples that were judged, which are not made twice.
+        """Read the file or folder; nothing is judged yet.
+
+        ``dataset``: whose samples and truth are taken; without it those of the file. Raises
+        :class:`pytest_cpas.types.DataError` for a file that is damaged, or that is not about the
+        data set.
+        """
+        known = None if dataset is None else as_dataset(dataset)
+        self._submission = read_submission(path, CATEGORIES if known is None else known.classes)
+        self._dataset = known or OwnTruth(self._submission)
+        self._pairing = Pairing(self._submission, self._dataset)
+        self._half = in_half_precision(self._submission.images)
         self._truths: dict[str, GroundTruth] = {}
-        samples = []
-        for name, frame in read_frames(path):
-            if not name:
-                raise DataError(f"{path}: a frame has no name")
-            scene, _, number = name.rpartition("_")
-            if name in self._frames:
-                raise DataError(f"{path}: frame {name} occurs twice")
-            self._frames[name] = frame
-            for index, class_id in enumerate(frame["gt_class_ids"].tolist()):
-                ref_id = f"{scene}/{number}/gt{index}" if scene else f"{number}/gt{index}"
-                try:
-                    category = CATEGORIES[class_id - 1]
-                    ref = SampleRef(id=ref_id, category=category, scene=scene or number)
-                except ContractError as error:
-                    raise DataError(f"{path}, frame {name!r}: {error}") from None
-                if ref_id in self._places:
-                    other = self._places[ref_id][0]
-                    raise DataError(f"{path}: frames {other} and {name} give one id, {ref_id}")
-                self._places[ref_id] = name, index
-                samples.append(ref)
         super().__init__(
             re.sub(r"[^A-Za-z0-9._-]", "-", path.stem if path.is_file() else path.name),
-            STORED,
-            samples,
+            self._dataset.name,
+            self._dataset.samples,
             selection=selection,
-            identity={"data": _digest_of_truths(self._frames)},
+            missing=self._dataset.missing,
+            damaged=self._dataset.damaged,
+            identity={
+                "data": self._dataset.digest,
+                "truth": "the file's own" if known is None else known.name,
+            },
             protocols=protocols,
         )
+        self._places = {ref.id: place for place, ref in enumerate(self.samples)}
+        self.quick_truth = self._dataset.quick_truth
+        self.focal = self._dataset.camera.fx if self._dataset.camera else None
         self.info: MethodInfo = MethodInfo(
             name=self.method,
-            categories=CATEGORIES,
+            categories=tuple(dict.fromkeys((*CATEGORIES, *self._submission.classes))),
             needs=frozenset(),
-            gives=frozenset({"extents"}),
+            gives=self._submission.gives,
             licence="unknown",
-            object_frame="nocs",
+            object_frame=self._submission.object_frame,
         )
 
     def judge(self, ref: SampleRef) -> Row:
-        """The row of one ground truth; raises :class:`SampleError` for a broken pose."""
-        row = self._rows[ref.id]
+        """The row of one sample; raises :class:`SampleError` for a broken pose."""
+        row = self._batch(self._places[ref.id] // _BATCH)[ref.id]
         if isinstance(row, ContractError):
             raise SampleError(f"{self.method}, sample {ref.id} ({ref.category}): {row}")
         return row
 
     def truth(self, ref: SampleRef) -> GroundTruth:
-        """The truth about one sample."""
-        known = self._truths.get(ref.id)
-        return self._pair(ref)[0] if known is None else known
+        """The truth about one sample; without its surface if no answer has a shape."""
+        if ref.id not in self._truths:
+            truth = self._dataset.truth(ref)
+            if "shape" in self.info.gives:
+                return self._in_view(ref, truth)
+            self._truths[ref.id] = self._in_view(ref, replace(truth, surface=None))
+        return self._truths[ref.id]
 
     def ranking(self) -> Ranking | None:
-        """All detections of the frames, ranked; None of a part of the samples, or without scores.
+        """All detections of the images, ranked; None of a part of the samples, or without scores.
 
         A detection whose pose is none is never right.
         """
         columns = ranking_columns(self.protocols)
-        if len(self.samples) < sum(self.listed.values()) or any(
-            "pred_scores" not in frame for frame in self._frames.values()
-        ):
+        if len(self.samples) < sum(self.listed.values()):
             return None
-        detected = [each for name in self._frames for each in self._detected(name)]
-        truths = [(self._places[ref.id][0], ref.category, self.truth(ref)) for ref in self.samples]
+        detected = []
+        for number, image in self._pairing.images.items():
+            answers = self._submission.images[number].answers
+            if answers.scores is None:
+                return None
+            for row, class_id in enumerate(answers.class_ids.tolist()):
+                detected.append(
+                    Detected(
+                        name=f"{image}/{row}",
+                        image=image,
+                        category=self._submission.category(class_id),
+                        score=float(answers.scores[row]),
+                        hypothesis=self._ranked(number, row),
+                    )
+                )
+        truths = [(self._dataset.image(r), r.category, self.truth(r)) for r in self.samples]
         pairs = pair_table(facts_of(columns), detected, truths, self.info.gives)
         return rank(columns, pairs)
 
-    def _detected(self, name: str) -> Iterator[Detected]:
-        """The detections of a frame, whatever their order in the file: each is called by its frame,
-        its category and its 2-D box in whole pixels, those that share all three are numbered."""
-        frame = self._frames[name]
-        called: Counter[str] = Counter()
-        for index in detection_order(frame).tolist():
-            category = CATEGORIES[int(frame["pred_class_ids"][index]) - 1]
-            box = "_".join(f"{pixel:.0f}" for pixel in frame["pred_bboxes"][index].tolist())
-            own = f"{name}/{category}/{box}"
-            called[own] += 1
-            yield Detected(
-                name=own if called[own] == 1 else f"{own}+{called[own]}",
-                image=name,
-                category=category,
-                score=float(frame["pred_scores"][index]),
-                hypothesis=self._hypothesis(name, index),
+    @property
+    def notes(self) -> Sequence[str]:
+        """What was noticed about the file, for people."""
+        counts = Counter(
+            reason for ref in self.samples if (reason := self._answers(ref)[2]) is not None
+        )
+        notes = [*self._submission.notes, *self._pairing.notes]
+        if self._half:
+            notes.append(
+                "poses are stored in half precision: the nearest rotations are judged, and a"
+                " position 1 m away is off by up to 0.5 mm"
             )
+        if counts:
+            kinds = ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
+            notes.append(f"no answer for {counts.total()} of {len(self.samples)} samples: {kinds}")
+        return notes
 
-    def _hypothesis(self, name: str, index: int) -> Hypothesis | None:
-        """A detection of a frame in the standard frames; None where its pose is none."""
+    def _ranked(self, number: int, row: int) -> Hypothesis | None:
+        """A detection in the standard frames; None where it is none."""
+        if self._failures(number)[row] is not None:
+            return None
         try:
-            return to_standard(self._estimate(name, index), self.info)
+            return to_standard(self._hypothesis(number, row), self.info)
         except ContractError:
             return None
 
     @functools.cache  # noqa: B019 - lives as long as the run
-    def _estimate(self, name: str, index: int) -> Hypothesis:
-        """A stored detection as it is; :class:`ContractError` where its pose is none."""
-        frame = self._frames[name]
-        rotation, translation, extents = _posed_box(
-            frame["pred_RTs"][index], frame["pred_scales"][index]
-        )
-        return Hypothesis(rotation=rotation, translation=translation, extents=extents)
+    def _failures(self, number: int) -> Sequence[str | None]:
+        return failures(self._submission.images[number].answers)
 
-    @functools.cached_property
-    def _rows(self) -> dict[str, Row | ContractError]:
-        """All at once: measuring in bulk is what makes large files quick."""
+    @functools.cache  # noqa: B019 - lives as long as the run
+    def _hypothesis(self, number: int, row: int) -> Hypothesis:
+        """An answer as it is stored; :class:`ContractError` where it is none."""
+        image = self._submission.images[number]
+        where = f"prediction {row} of {image.name or f'image {number}'}"
+        return hypothesis(image.answers, row, where, half=self._half)
+
+    @functools.lru_cache(maxsize=2)  # noqa: B019 - lives as long as the run
+    def _batch(self, number: int) -> Mapping[str, Row | ContractError]:
+        """The rows of some samples at once: measuring in bulk is what makes large files quick."""
         rows: dict[str, Row | ContractError] = {}
         pairs: dict[SampleRef, tuple[GroundTruth, Prediction]] = {}
-        for ref in self.samples:
+        for ref in self.samples[number * _BATCH : (number + 1) * _BATCH]:
             try:
-                pairs[ref] = self._pair(ref)
+                pairs[ref] = self.truth(ref), self._prediction(ref)
             except ContractError as error:
                 rows[ref.id] = error
         truths = [truth for truth, _ in pairs.values()]
-        self._truths = dict(zip((ref.id for ref in pairs), truths, strict=True))
         predictions = [prediction for _, prediction in pairs.values()]
         answers = measure(self.facts, truths, predictions, self.info)
         for ref, answer in zip(pairs, answers, strict=True):
             rows[ref.id] = Row(sample=ref.id, category=ref.category, answers=(answer,))
         return rows
 
-    def _pair(self, ref: SampleRef) -> tuple[GroundTruth, Prediction]:
-        name, index = self._places[ref.id]
-        frame = self._frames[name]
-        try:
-            rotation, translation, extents = _posed_box(
-                frame["gt_RTs"][index], frame["gt_scales"][index]
-            )
-            truth = GroundTruth(
-                pose=Pose(rotation @ NOCS_FROM_SHAPENET, translation),
-                extents=permute_extents(extents, NOCS_FROM_SHAPENET.T),
-                symmetry=symmetry_of(ref.category),
-                symmetry_in_view=self._symmetry_in_view(frame, index, ref.category),
-            )
-        except ContractError as error:
-            raise DataError(f"ground truth: {error}") from None
-        detection = int(self._assigned(name)[index])
-        if detection < 0:
-            return truth, Prediction.failed("not detected")
-        try:
-            return truth, Prediction((self._estimate(name, detection),))
-        except ContractError as error:
-            raise AnswerError(f"prediction {detection} of {name}: {error}") from None
+    def _answers(self, ref: SampleRef) -> tuple[int, Sequence[int], str | None]:
+        """The image and the rows of a sample's answers, the best first; or why there are none."""
+        number = self._pairing.number(ref)
+        if number is None:
+            return -1, (), "whose image is not in the file"
+        rows = self._pairing.found(number).answers[ref.id]
+        if not rows:
+            return number, (), "not detected"
+        reasons = self._failures(number)
+        answered = [row for row in rows if reasons[row] is None]
+        return number, answered, None if answered else reasons[rows[0]]
 
-    def _symmetry_in_view(self, frame: Frame, index: int, category: str) -> Symmetry | None:
-        """That of a mug whose handle is hidden, which the NOCS protocol takes for round."""
-        visible = frame.get("gt_handle_visibility")
-        hidden = category == "mug" and visible is not None and not visible[index]
-        return Symmetry.about((0, 1, 0)) if hidden else None
+    def _prediction(self, ref: SampleRef) -> Prediction:
+        number, rows, reason = self._answers(ref)
+        if reason is not None:
+            return Prediction.failed(reason)
+        return Prediction(tuple(self._hypothesis(number, row) for row in rows))
 
-    @functools.cache  # noqa: B019 - lives as long as the run
-    def _assigned(self, name: str) -> NDArray[np.int64]:
-        return assign_detections(self._frames[name])
+    def _in_view(self, ref: SampleRef, truth: GroundTruth) -> GroundTruth:
+        """A truth with the symmetry of what can be seen, where only the file knows it."""
+        number = self._pairing.number(ref)
+        if number is None or truth.symmetry_in_view is not None:
+            return truth
+        row = self._pairing.found(number).own.get(ref.id)
+        truths = self._submission.images[number].truths
+        if row is None or truths is None:
+            return truth
+        return replace(truth, symmetry_in_view=symmetry_in_view(truths, row, ref.category))

@@ -138,6 +138,11 @@ class Run(ABC):
             name: fact(name).definition for name in in_order((*self.facts, *ranked))
         }
 
+    @property
+    def notes(self) -> Sequence[str]:
+        """What else people should know of what is judged, one line each."""
+        return ()
+
     @abstractmethod
     def judge(self, ref: SampleRef) -> Row:
         """The row of one sample; raises :class:`SampleError`."""

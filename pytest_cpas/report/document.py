@@ -137,7 +137,7 @@ def run_document(
     scenes, intervals = scenes_of(new), interval_table(new)
     # workers send them in any order
     checks = [_contract(result) for result in sorted(contract, key=lambda result: result.check)]
-    return {
+    content: RunDocument = {
         "method": run.method,
         "dataset": run.dataset,
         "published_as": published,
@@ -169,6 +169,9 @@ def run_document(
         "definitions": dict(run.definitions),
         "provenance": dict(run.provenance),
     }
+    if run.notes:
+        content["notes"] = list(run.notes)
+    return content
 
 
 def run_outcome(

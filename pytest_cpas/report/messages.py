@@ -187,11 +187,12 @@ def _memory(memory: MemoryDocument) -> str:
 
 
 def troubles(run: RunDocument) -> list[tuple[str, list[str]]]:
-    """What is wrong with a run, and what was missing, under titles."""
+    """What is wrong with a run, what was missing and what was noticed, under titles."""
     speed = run["speed"]
     sections = [
         ("Problems of the data set", run["problems"]),
         ("Missing", run["missing"]),
+        ("Noticed", run.get("notes", [])),
         (
             "Contract of the method",
             [

@@ -33,7 +33,13 @@ class _ReportedRun(Run):
         )
         self.listed = Counter({name: n["listed"] for name, n in told["categories"].items()})
         self.seeds = told["seeds"]
+        self._notes = told.get("notes", ())
         self.definitions, self.provenance = told["definitions"], told["provenance"]
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """Those of the report."""
+        return self._notes
 
     def judge(self, ref: SampleRef) -> Row:
         """Nothing is judged anew."""

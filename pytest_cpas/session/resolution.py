@@ -50,9 +50,11 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     runs: list[Run] = []
     for (name, make), dataset in itertools.product(methods, datasets):
         runs += _method_runs(_made(name, make), dataset, options)
+    asked: Sequence[Dataset | None] = datasets or [None]
     runs += [
-        StoredRun(path, selection=options.selection, protocols=options.protocols)
+        StoredRun(path, dataset=dataset, selection=options.selection, protocols=options.protocols)
         for path in options.predictions
+        for dataset in asked
     ]
     runs += _merged_runs(options, datasets)
     judged = {run.dataset for run in runs}
@@ -137,6 +139,8 @@ def read_others(options: RunOptions, runs: Sequence[Run]) -> list[RunDocument]:
 
 def _check_both_sides(options: RunOptions) -> None:
     if bool(options.methods) == bool(options.datasets) or options.only_for_pictures:
+        return
+    if options.datasets and options.predictions:
         return
     given: registry.Kind = "method" if options.methods else "dataset"
     lacking: registry.Kind = "dataset" if options.methods else "method"

@@ -8,10 +8,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pytest_cpas._deprecation import deprecated
+from pytest_cpas.types._arrays import Array
 from pytest_cpas.types.errors import DataError
 from pytest_cpas.types.geometry import Camera
-from pytest_cpas.types.samples import GroundTruth, Sample, SampleRef
+from pytest_cpas.types.samples import CATEGORIES, GroundTruth, Sample, SampleRef
 
 __all__ = ["STORED", "Dataset", "WrappedDataset", "as_dataset"]
 
@@ -39,6 +43,8 @@ class Dataset(ABC):
     * ``absent``, a collection of ids: samples that are listed but whose images are not there, so
       that only their truth is known. No method is judged on them.
     * ``camera``, a :class:`Camera`: the one that took all images; None if there are several.
+    * ``classes``, a sequence of str: the categories of the class ids 1, 2, ... that files of
+      predictions number them by.
     * ``quick_truth``, bool: :meth:`truth` opens no image. True where a subclass has a ``truth`` of
       its own, unless it says otherwise.
     """
@@ -50,6 +56,7 @@ class Dataset(ABC):
     damaged: Sequence[str]
     absent: Collection[str] = frozenset()
     camera: Camera | None = None
+    classes: Sequence[str] = CATEGORIES
 
     @functools.cached_property
     def quick_truth(self) -> bool:
@@ -67,6 +74,25 @@ class Dataset(ABC):
         """
         return self.load(ref).truth
 
+    def image(self, ref: SampleRef) -> str:
+        """The image that a sample is in, as files of predictions name it, such as
+        ``scene_1/0000``; here that of a data set with one object an image: the sample's id."""
+        return ref.id
+
+    def box(self, ref: SampleRef) -> Array | None:
+        """The 2-D box (4,) of what is seen of an object: y1, x1, y2, x2 in pixels, the last row and
+        column not part of it. None where only the truth is there. Here that of its mask.
+
+        Raises :class:`DataError` naming the file that is damaged.
+        """
+        return None if ref.id in self.absent else mask_box(self.load(ref).observation.mask)
+
+
+def mask_box(mask: NDArray[np.bool_]) -> Array:
+    """The box (4,) of a mask (H, W): y1, x1, y2, x2 in pixels, the last ones not part of it."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return np.array([rows[0], columns[0], rows[-1] + 1, columns[-1] + 1], dtype=float)
+
 
 class WrappedDataset(Dataset):
     """A data set that is another one, but for what a subclass makes different."""
@@ -81,6 +107,7 @@ class WrappedDataset(Dataset):
         self.damaged = dataset.damaged
         self.absent = dataset.absent
         self.camera = dataset.camera
+        self.classes = dataset.classes
         self.quick_truth = dataset.quick_truth
 
     @property
@@ -95,6 +122,14 @@ class WrappedDataset(Dataset):
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample."""
         return self._dataset.truth(ref)
+
+    def image(self, ref: SampleRef) -> str:
+        """The image that a sample is in."""
+        return self._dataset.image(ref)
+
+    def box(self, ref: SampleRef) -> Array | None:
+        """The 2-D box of what is seen of an object."""
+        return self._dataset.box(ref)
 
 
 def remember_maker(dataset: Dataset, make: Callable[..., Any]) -> None:
@@ -162,6 +197,9 @@ class _Adapted(WrappedDataset):
         self.camera = getattr(made, "camera", None)
         self._has_truth = hasattr(made, "truth")
         self.quick_truth = bool(getattr(made, "quick_truth", self._has_truth))
+
+    image = Dataset.image
+    box = Dataset.box
 
     def truth(self, ref: SampleRef) -> GroundTruth:
         return super().truth(ref) if self._has_truth else self.load(ref).truth

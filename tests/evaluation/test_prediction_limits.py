@@ -7,13 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pytest_cpas.evaluation import ResultsError, SampleError, bop_export, frames
+from pytest_cpas.evaluation import ResultsError, SampleError, bop_export
 from pytest_cpas.evaluation.estimates import Estimates
-from pytest_cpas.evaluation.frames import MOST_IN_FRAME, MOST_PAIRS, read_frames
 from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.metrics import average_precision
 from pytest_cpas.metrics.average_precision import Detections
 from pytest_cpas.protocols import RankedDetection, Ranking
+from pytest_cpas.submissions import nocs, read_submission
+from pytest_cpas.submissions.nocs import MOST_IN_IMAGE, MOST_PAIRS
 from pytest_cpas.types import ContractError, DataError
 
 
@@ -58,16 +59,16 @@ def test_rows_of_a_frame(name, tmp_path):
 
 
 def test_frames_as_full_as_they_may_be_are_read_in_time(tmp_path):
-    path = stored(tmp_path, truths=MOST_IN_FRAME, found=MOST_IN_FRAME)
-    [(_, frame)] = read_frames(path)
+    path = stored(tmp_path, truths=MOST_IN_IMAGE, found=MOST_IN_IMAGE)
+    run = StoredRun(path)
     start = time.process_time()
-    assert sorted(frames.assign_detections(frame).tolist()) == list(range(MOST_IN_FRAME))
+    assert len(run.notes) == 1, "all are detected"
     assert time.process_time() - start < 1
 
 
 def test_pairs_of_all_frames(tmp_path):
-    many = MOST_PAIRS // MOST_IN_FRAME**2 + 1
-    path = stored_npz(tmp_path / "x.npz", many, MOST_IN_FRAME)
+    many = MOST_PAIRS // MOST_IN_IMAGE**2 + 1
+    path = stored_npz(tmp_path / "x.npz", many, MOST_IN_IMAGE)
     start = time.process_time()
     with pytest.raises(DataError, match=r"x\.npz: up to frame scene_1_11 there are 1080000 pairs"):
         StoredRun(path)
@@ -75,10 +76,10 @@ def test_pairs_of_all_frames(tmp_path):
 
 
 def test_frames_of_a_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(frames, "MOST_FRAMES", 2)
-    assert len(list(read_frames(stored_npz(tmp_path / "x.npz", 2, 1)))) == 2
+    monkeypatch.setattr(nocs, "MOST_IMAGES", 2)
+    assert len(read_submission(stored_npz(tmp_path / "x.npz", 2, 1)).images) == 2
     with pytest.raises(DataError, match=r"x\.npz: 3 frames, at most 2 are read"):
-        list(read_frames(stored_npz(tmp_path / "x.npz", 3, 1)))
+        read_submission(stored_npz(tmp_path / "x.npz", 3, 1))
 
 
 def test_frame_without_a_name(tmp_path):
@@ -103,11 +104,12 @@ def test_last_row_of_a_pose(name, words, row, tmp_path):
         run.judge(run.samples[0])
 
 
-@pytest.mark.parametrize("key", ["gt_bboxes", "pred_bboxes"])
-@pytest.mark.parametrize("box", [(10, 0, 0, 10), (0, 10, 10, 0)])
-def test_boxes_that_are_inside_out(key, box, tmp_path):
-    with pytest.raises(DataError, match=rf"_0000\.pkl: {key}: row 0 is .*, expected y1, x1, y2"):
-        StoredRun(stored(tmp_path, **{key: np.array([box])}))
+@pytest.mark.parametrize("box", [(10, 0, 0, 10), (0, 10, 10, 0), (10, 10, 0, 0)])
+def test_boxes_that_are_inside_out(box, tmp_path):
+    with pytest.raises(DataError, match=r"_0000\.pkl: gt_bboxes: row 0 is .*, expected y1, x1, y2"):
+        StoredRun(stored(tmp_path, gt_bboxes=np.array([box])))
+    run = StoredRun(stored(tmp_path, pred_bboxes=np.array([box])))
+    assert run.judge(run.samples[0]).failure == "not detected"
 
 
 @pytest.mark.parametrize("key", [*side("gt", 1), *side("pred", 1)])

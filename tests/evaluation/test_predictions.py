@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from pytest_cpas.evaluation import SampleError
-from pytest_cpas.evaluation.predictions import StoredRun, assign_detections, read_frames
+from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.golden import RunTable, Word, compare
 from pytest_cpas.protocols import PAPER, count_columns, judge_outcomes, shipped_protocol
+from pytest_cpas.submissions import read_submission
+from pytest_cpas.submissions.pairing import assign
 from pytest_cpas.types import ContractError
 
 RNG_BOXES = np.array([[0, 0, 10, 10], [0, 20, 10, 30], [50, 50, 90, 90]])
@@ -85,23 +87,44 @@ def test_up_axis_is_y_of_both_frames(path):
 
 
 def test_detections_are_assigned_by_descending_box_iou():
-    # both detections overlap the first truth; the better one gets it, the other falls under 0.5
-    boxes = np.array([[0, 0, 10, 10], [0, 4, 10, 14]])
-    found = np.array([[0, 2, 10, 12], [0, 0, 10, 10]])
-    content = frame(
-        gt_class_ids=np.array([6, 6]),
-        gt_bboxes=boxes,
-        **{key: value[:2] for key, value in frame().items() if key.startswith("pred")},
-    )
-    content |= {"pred_class_ids": np.array([6, 6]), "pred_bboxes": found}
-    assert assign_detections(content).tolist() == [1, 0]
-    content["pred_class_ids"] = np.array([6, 2])  # another class is no candidate
-    assert assign_detections(content).tolist() == [0, -1]
-    content["pred_bboxes"] = np.array([[0, 5, 10, 10], [0, 0, 1, 1]])
-    content["pred_class_ids"] = np.array([6, 6])
-    assert assign_detections(content).tolist() == [0, -1], "an IoU of exactly 0.5 is enough"
-    content["pred_bboxes"] = np.array([[0, 5.1, 10, 10], [0, 0, 1, 1]])
-    assert assign_detections(content).tolist()[0] == -1
+    # both detections overlap the first object; the better one gets it, the other falls under 0.5
+    boxes = np.array([[0, 0, 10, 10], [0, 4, 10, 14]], float)
+    found = np.array([[0, 2, 10, 12], [0, 0, 10, 10]], float)
+    same = np.ones((2, 2), bool)
+    assert assign(boxes, found, same) == [[1], [0]]
+    same[:, 1] = False  # another class is no candidate
+    assert assign(boxes, found, same) == [[0], []]
+    half, none = np.array([[0, 5, 10, 10]], float), np.array([[0, 5.1, 10, 10]], float)
+    same = np.ones((2, 1), bool)
+    assert assign(boxes, half, same) == [[0], []], "an IoU of exactly 0.5 is enough"
+    assert assign(boxes, none, same) == [[], []]
+    assert assign(boxes[:0], half, same[:0]) == []
+
+
+def test_what_is_left_over_goes_to_the_object_that_it_overlaps_most():
+    boxes = np.array([[0, 0, 10, 10], [0, 50, 10, 60]], float)
+    found = np.array([[0, 1, 10, 11], [0, 0, 10, 10], [0, 3, 10, 13], [0, 9, 10, 19]], float)
+    assert assign(boxes, found, np.ones((2, 4), bool)) == [[1, 0, 2], []]
+
+
+def test_best_scored_of_several_answers_counts_whatever_their_order(path):
+    wrong = frame()["pred_RTs"].copy()
+    wrong[:, :3, 3] += 0.5
+    for scores in ((0.9, 0.8, 0.7), (0.1, 0.2, 0.3)):
+        twice = {
+            key: np.concatenate([frame()[key], frame()[key]])
+            for key in ("pred_class_ids", "pred_bboxes", "pred_scales")
+        }
+        poses = np.concatenate([frame()["pred_RTs"], wrong])
+        scored = np.concatenate([scores, [0.5] * 3])
+        expected = 0 if scores[0] > 0.5 else 0.5 * np.sqrt(3)
+        for order in (np.arange(6), np.arange(6)[::-1]):
+            content = {key: values[order] for key, values in twice.items()}
+            run = StoredRun(
+                write(path, **content, pred_RTs=poses[order], pred_scores=scored[order])
+            )
+            positions = [run.judge(ref).facts["position_m"] for ref in run.samples]
+            assert positions == pytest.approx([expected] * 3, abs=1e-9)
 
 
 def test_undetected_truth_is_not_correct(path):
@@ -125,10 +148,9 @@ def broken(index, value):
 @pytest.mark.parametrize(
     ("pose", "words"),
     [
-        (np.full((4, 4), np.nan), "the pose: 16 of 16 values are NaN"),
         (np.diag([0.2, 0.2, -0.2, 1]), "determinant -0.008"),
         (np.diag([0.1, 0.2, 0.3, 1]), "not orthonormal"),
-        (np.diag([0, 0, 0, 1.0]), "determinant 0"),
+        (np.diag([0, 0.2, 0.2, 1.0]), "determinant 0"),
     ],
 )
 def test_broken_prediction_fails_its_sample_only(path, pose, words):
@@ -136,6 +158,28 @@ def test_broken_prediction_fails_its_sample_only(path, pose, words):
     assert [run.judge(ref).failure for ref in run.samples[:2]] == [None, None]
     with pytest.raises(SampleError, match=rf"scene_1/0007/gt2 \(mug\).*prediction 0.*{words}"):
         run.judge(run.samples[2])
+
+
+@pytest.mark.parametrize(
+    ("changed", "failure"),
+    [
+        ({"pred_RTs": np.zeros((4, 4))}, "the stored pose is zero"),
+        ({"pred_RTs": np.diag([0, 0, 0, 1.0])}, "the stored pose is zero"),
+        ({"pred_RTs": np.full((4, 4), np.nan)}, "the stored pose is not finite"),
+        ({"pred_scales": np.zeros(3)}, "the stored box is zero"),
+        ({"pred_scales": [1, np.nan, 1]}, "the stored box is not finite"),
+        ({"pred_scales": [1, np.inf, 1]}, "the stored box is not finite"),
+    ],
+)
+def test_failed_answer_stays_in_the_denominator(path, changed, failure):
+    [(key, value)] = changed.items()
+    content = frame()[key].copy()
+    content[0] = value
+    run = StoredRun(write(path, **{key: content}))
+    rows = [run.judge(ref) for ref in run.samples]
+    assert [row.failure for row in rows] == [None, None, failure]
+    assert rows[2].facts["position_m"] == np.inf
+    assert run.notes[-1] == f"no answer for 1 of 3 samples: 1 {failure}"
 
 
 @pytest.mark.parametrize(
@@ -167,7 +211,10 @@ def as_npz(target, names, frames):
 def test_npz_and_folder_of_pickles_are_the_same(tmp_path, path):
     write(path)
     other = write(tmp_path / "results_test_scene_2_0001.pkl", pred_RTs=broken(1, np.eye(4)))
-    assert [name for name, _ in read_frames(tmp_path)] == ["scene_1_0007", "scene_2_0001"]
+    assert [image.name for image in read_submission(tmp_path).images] == [
+        "scene_1_0007",
+        "scene_2_0001",
+    ]
     as_npz(
         tmp_path / "all.npz",
         ["scene_1_0007", "scene_2_0001"],
@@ -274,7 +321,8 @@ def test_published_predictions(test_data):
     assert correct(10, 0.02, "mug") == 1789
 
     pickles = StoredRun(test_data / "predictions" / "dualposenet_real275")
-    names = [name for name, _ in read_frames(test_data / "predictions" / "dualposenet_real275")]
+    stored = read_submission(test_data / "predictions" / "dualposenet_real275")
+    names = [image.name for image in stored.images]
     assert len(names) == 48
     assert len(pickles.samples) == sum(
         ref.id.rpartition("/")[0].replace("/", "_") in names for ref in run.samples

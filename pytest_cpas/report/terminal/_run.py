@@ -51,6 +51,8 @@ def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
     terminal.section(f"{run['method']} on {run['dataset']}")
     for line in run["missing"]:
         terminal.write_line(f"missing: {line}")
+    for line in run.get("notes", []):
+        _wrapped(terminal, f"note: {line}")
     _print_contract(terminal, run["contract"])
     if run["judged"] and shows_samples(terminal.config, run["judged"]):
         terminal.write_table(_sample_lines(run["samples"]))

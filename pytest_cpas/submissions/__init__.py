@@ -1,0 +1,22 @@
+"""Files of predictions in the forms that the field writes, beside the truth that they answer."""
+
+from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision
+from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
+from pytest_cpas.submissions.pairing import Pairing
+from pytest_cpas.submissions.reading import read_submission
+from pytest_cpas.submissions.truth import OwnTruth, symmetry_in_view, truth_of
+
+__all__ = [
+    "Answers",
+    "Image",
+    "OwnTruth",
+    "Pairing",
+    "Submission",
+    "Truths",
+    "failures",
+    "hypothesis",
+    "in_half_precision",
+    "read_submission",
+    "symmetry_in_view",
+    "truth_of",
+]

@@ -1,0 +1,95 @@
+"""From what a file has to poses, truths and hypotheses, each checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from pytest_cpas.submissions.frames import Answers, Image, Objects
+from pytest_cpas.types import AnswerError, Array, ContractError, DataError, Hypothesis, Mesh
+from pytest_cpas.types._arrays import frozen_array
+
+__all__ = ["failures", "hypothesis", "in_half_precision", "rigid"]
+
+#: Largest entry of ``R @ R.T - I`` of a rotation whose entries were rounded to half precision: of
+#: relative errors of 2 ** -11 each, of the sums of three squares and of the scale.
+_HALF_TOLERANCE = 4e-3
+
+
+def in_half_precision(images: Iterable[Image]) -> bool:
+    """Whether all poses that were answered are numbers of half precision (float16), whatever they
+    are stored as. Poses of ones and zeros show nothing."""
+    tells = False
+    for image in images:
+        poses = image.answers.poses
+        with np.errstate(all="ignore"):
+            halves = poses.astype(np.float16)
+        if not np.array_equal(halves, poses, equal_nan=True):
+            return False
+        tells = tells or bool((poses != np.rint(poses)).any())
+    return tells
+
+
+def failures(answers: Answers) -> list[str | None]:
+    """Per answer why it is none, and None where it is one: what the file says, a pose or a box of
+    zeros, one that is not finite."""
+    count = len(answers)
+    poses = answers.poses.reshape(count, 16)
+    extents = np.ones((count, 3)) if answers.extents is None else answers.extents
+    reasons: list[str | None] = list(answers.reasons or [None] * count)
+    with np.errstate(all="ignore"):
+        # boxes of a pose without a scale have no size, which is the pose's fault
+        scaled = np.linalg.det(answers.poses[:, :3, :3]) != 0
+    for words, found in (
+        ("the stored pose is not finite", ~np.isfinite(poses).all(axis=1)),
+        ("the stored pose is zero", (answers.poses[:, :3, :3] == 0).all(axis=(1, 2))),
+        ("the stored box is not finite", scaled & ~np.isfinite(extents).all(axis=1)),
+        ("the stored box is zero", scaled & (extents == 0).all(axis=1)),
+    ):
+        for index in np.flatnonzero(found).tolist():
+            reasons[index] = reasons[index] or words
+    return reasons
+
+
+def rigid(objects: Objects, index: int, *, half: bool = False) -> tuple[Array, Array]:
+    """Rotation (3, 3) and translation (3,), metres, of an object, without its scale.
+
+    ``half``: it was stored in half precision, so that the nearest rotation is taken from further
+    away. Raises :class:`pytest_cpas.types.ContractError` for what is no pose.
+    """
+    pose = frozen_array(objects.poses[index], (4, 4), "the pose")
+    if not np.allclose(pose[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
+        raise DataError(
+            f"the pose's last row is {pose[3].tolist()}, expected 0, 0, 0, 1; is it transposed?"
+        )
+    determinant = float(np.linalg.det(pose[:3, :3]))
+    if not determinant > 0:
+        raise DataError(
+            f"the pose has determinant {determinant:g}, expected the cube of a positive scale"
+        )
+    rotation = pose[:3, :3] / np.cbrt(determinant)
+    if half and np.abs(rotation @ rotation.T - np.eye(3)).max() <= _HALF_TOLERANCE:
+        u, _, vt = np.linalg.svd(rotation)
+        rotation = u @ vt
+    return rotation, pose[:3, 3]
+
+
+def hypothesis(answers: Answers, index: int, where: str, *, half: bool = False) -> Hypothesis:
+    """An answer, in the frames of its submission.
+
+    Raises :class:`AnswerError` that begins with ``where`` for what is none.
+    """
+    shape = None if answers.shapes is None else answers.shapes[index]
+    try:
+        rotation, translation = rigid(answers, index, half=half)
+        return Hypothesis(
+            rotation=rotation,
+            translation=translation,
+            extents=None if answers.extents is None else answers.extents[index],
+            score=None if answers.scores is None else float(answers.scores[index]),
+            mesh=shape if isinstance(shape, Mesh) else None,
+            points=None if isinstance(shape, Mesh) else shape,
+        )
+    except ContractError as error:
+        raise AnswerError(f"{where}: {error}") from None

@@ -1,0 +1,283 @@
+"""Which answers of a file are about which sample of a data set.
+
+Images are known by name. An answer is about the sample that it names; or about that of the file's
+own truth that it stands beside; or else it is a detection, which is assigned by class and 2-D box:
+one to one, by descending box IoU, at least ``DETECTION_IOU``; what is left over then, such as
+further hypotheses of one detection, goes to the object that its box overlaps most, by as much. The
+best-scored answer of a sample is its answer.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.submissions.frames import Answers, Submission
+from pytest_cpas.submissions.truth import OwnTruth
+from pytest_cpas.types import Array, DataError, Dataset, SampleRef
+
+__all__ = ["Pairing", "assign"]
+
+#: A detection belongs to an object if their 2-D boxes overlap at least this much.
+DETECTION_IOU = 0.5
+
+#: The file's own truth is that of a sample if their positions are no further apart, metres.
+_NEAR = 0.1
+
+#: Names that a line tells before it only counts the rest.
+_NAMED = 3
+
+#: The end of an image's name that is no part of it.
+_KINDS = {"color", "colour", "rgb", "depth", "image", "png", "jpg", "pkl"}
+
+
+class Found(NamedTuple):
+    """What was found about the samples of an image, by their ids: ``answers``, rows of the image's
+    answers, best first; ``own``, the row of the file's own truth about it, where it has one."""
+
+    answers: Mapping[str, Sequence[int]]
+    own: Mapping[str, int]
+
+
+class Pairing:
+    """A submission beside a data set. Each image is looked at when it is first asked for."""
+
+    def __init__(self, submission: Submission, dataset: Dataset) -> None:
+        """Find the images; :class:`DataError` where which is which cannot be told."""
+        self._submission, self._dataset = submission, dataset
+        self._refs: dict[str, list[SampleRef]] = defaultdict(list)
+        for ref in dataset.samples:
+            self._refs[dataset.image(ref)].append(ref)
+        if isinstance(dataset, OwnTruth):
+            self._numbers = {image.name: number for number, image in enumerate(submission.images)}
+            self.notes = ["the truth is the file's own; --cpas-dataset NAME takes a data set's"]
+        else:
+            self._numbers, self.notes = _images(submission, dataset.name, list(self._refs))
+        #: The data set's name of an image, by its number in the submission.
+        self.images = {number: image for image, number in self._numbers.items()}
+        self._found: dict[int, Found] = {}
+
+    def number(self, ref: SampleRef) -> int | None:
+        """The number, in the submission, of the image that a sample is in; None if it lacks it."""
+        return self._numbers.get(self._dataset.image(ref))
+
+    def found(self, number: int) -> Found:
+        """What was found about the samples of an image of the submission.
+
+        Raises :class:`DataError` where that cannot be told.
+        """
+        if number not in self._found:
+            self._found[number] = self._find(number)
+        return self._found[number]
+
+    def _find(self, number: int) -> Found:
+        refs = self._refs[self.images[number]]
+        linked = _linked(self._submission, number, self._dataset, refs)
+        rows = _rows(self._submission, number, self._dataset, refs, linked)
+        return Found(
+            {ref.id: found for ref, found in zip(refs, rows, strict=True)},
+            {refs[place].id: row for row, place in linked.items()},
+        )
+
+
+# -- images ---------------------------------------------------------------------------------
+
+
+def _images(
+    submission: Submission, dataset: str, wanted: Sequence[str]
+) -> tuple[dict[str, int], list[str]]:
+    """The number of each of the data set's images in the submission, and what is amiss."""
+    stored = submission.images
+    if stored and not any(image.name for image in stored):
+        if len(stored) != len(wanted):
+            raise DataError(
+                f"{submission.path}: its {len(stored)} images have no names, and {dataset} has"
+                f" {len(wanted)} of them, so that which is which cannot be told"
+            )
+        note = f"images have no names: taken in the order of {dataset}"
+        return {image: number for number, image in enumerate(wanted)}, [note]
+    known: dict[tuple[str, ...], str] = {}
+    for name in wanted:
+        if (key := _key(name)) in known:
+            raise DataError(f"{dataset}: files cannot tell image {known[key]!r} from {name!r}")
+        known[key] = name
+    numbers: dict[str, int] = {}
+    foreign, twice = [], []
+    for number, image in enumerate(stored):
+        key = _key(image.name)
+        found = next((known[key[i:]] for i in range(len(key)) if key[i:] in known), None)
+        if found is None:
+            foreign.append(image.name)
+        elif found in numbers:
+            twice.append(f"{stored[numbers[found]].name} and {image.name}")
+        else:
+            numbers[found] = number
+    if twice:
+        raise DataError(
+            f"{submission.path}: {len(twice)} images are there twice: {_named(twice)}; leave one of"
+            " each out"
+        )
+    lacking = [image for image in wanted if image not in numbers]
+    notes = []
+    if lacking:
+        notes.append(
+            f"{len(lacking)} of {len(wanted)} images of {dataset} are not in the file, and count as"
+            f" not correct: {_named(lacking)}"
+        )
+    if foreign:
+        notes.append(
+            f"{len(foreign)} of {len(stored)} images of the file are not in {dataset}, and do not"
+            f" count: {_named(foreign)}"
+        )
+    if not numbers:
+        raise DataError(
+            f"{submission.path}: none of its {len(stored)} images, such as {_named(foreign)}, is"
+            f" one of {dataset}'s, such as {_named(wanted)}"
+        )
+    return numbers, notes
+
+
+def _key(name: str) -> tuple[str, ...]:
+    """Words and numbers of an image's name, which folders, extensions and zeros do not change."""
+    parts = re.findall(r"[a-z]+|\d+", name.lower())
+    while parts and parts[-1] in _KINDS:
+        parts.pop()
+    return tuple(part.lstrip("0") or "0" if part.isdigit() else part for part in parts)
+
+
+def _named(names: Sequence[str]) -> str:
+    rest = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+# -- objects of an image --------------------------------------------------------------------
+
+
+def _linked(
+    submission: Submission, number: int, dataset: Dataset, refs: Sequence[SampleRef]
+) -> dict[int, int]:
+    """Which of ``refs`` each row of the file's own truth is about: by class, nearest first."""
+    truths = submission.images[number].truths
+    if truths is None:
+        return {}
+    if isinstance(dataset, OwnTruth):
+        return {row: row for row in range(len(truths))}
+    distances = np.full((len(truths), len(refs)), np.inf)
+    true = np.array([dataset.truth(ref).pose.translation for ref in refs]).reshape(-1, 3)
+    for row, class_id in enumerate(truths.class_ids.tolist()):
+        same = [ref.category == submission.category(class_id) for ref in refs]
+        distances[row, same] = np.linalg.norm(true[same] - truths.poses[row, :3, 3], axis=1)
+    return dict(_one_to_one(-distances, -_NEAR))
+
+
+def _one_to_one(fits: Array, least: float) -> Iterable[tuple[int, int]]:
+    """Pairs (row, column) by descending fit, each row and column once; ties go to the first."""
+    rows, columns = set(), set()
+    near = np.flatnonzero(fits.ravel() >= least)
+    for flat in near[np.argsort(-fits.ravel()[near], kind="stable")].tolist():
+        row, column = divmod(flat, fits.shape[1])
+        if row not in rows and column not in columns:
+            rows.add(row)
+            columns.add(column)
+            yield row, column
+
+
+def _rows(
+    submission: Submission,
+    number: int,
+    dataset: Dataset,
+    refs: Sequence[SampleRef],
+    linked: Mapping[int, int],
+) -> list[list[int]]:
+    """Per sample of an image the rows of its answers, the best first."""
+    answers = submission.images[number].answers
+    found: list[list[int]] = [[] for _ in refs]
+    if answers.samples is not None:
+        places = {ref.id: place for place, ref in enumerate(refs)}
+        for row, sample in enumerate(answers.samples):
+            if sample in places:
+                found[places[sample]].append(row)
+    elif answers.truths is not None:
+        for row, truth in enumerate(answers.truths.tolist()):
+            if truth in linked:
+                found[linked[truth]].append(row)
+    elif answers.boxes is not None:
+        boxes = _boxes(submission, number, dataset, refs, linked)
+        same = np.array(
+            [
+                [ref.category == submission.category(i) for i in answers.class_ids.tolist()]
+                for ref in refs
+            ],
+            dtype=bool,
+        ).reshape(len(refs), len(answers))
+        found = assign(boxes, answers.boxes, same)
+    else:
+        raise DataError(
+            f"{submission.path}: its answers have neither the name of a sample nor a 2-D box, so"
+            " that which object they are about cannot be told"
+        )
+    for rows in found:
+        rows.sort(key=lambda row: _surest_first(answers, row))
+    return found
+
+
+def _surest_first(answers: Answers, row: int) -> float:
+    return 0.0 if answers.scores is None else -float(answers.scores[row])
+
+
+def _boxes(
+    submission: Submission,
+    number: int,
+    dataset: Dataset,
+    refs: Sequence[SampleRef],
+    linked: Mapping[int, int],
+) -> Array:
+    """The 2-D boxes (n, 4) of samples: the data set's, else those that the file has itself."""
+    truths = submission.images[number].truths
+    boxes = np.full((len(refs), 4), np.nan)
+    rows = {place: row for row, place in linked.items()}
+    for place, ref in enumerate(refs):
+        box = dataset.box(ref)
+        if box is None and truths is not None and truths.boxes is not None and place in rows:
+            box = truths.boxes[rows[place]]
+        if box is None:
+            raise DataError(
+                f"{submission.path}: which detection is about {ref.id} cannot be told, since"
+                f" neither {dataset.name} nor the file has its 2-D box; a copy with masks has it"
+            )
+        boxes[place] = box
+    return boxes
+
+
+def _box_ious(boxes: Array, others: Array) -> Array:
+    """IoU (n, m) of 2-D boxes (n, 4) and (m, 4), y1, x1, y2, x2; 0 of what has no area."""
+    one, two = boxes[:, None], others[None]
+    overlap = np.minimum(one[..., 2:], two[..., 2:]) - np.maximum(one[..., :2], two[..., :2])
+    common = overlap.clip(min=0).prod(axis=-1)
+    areas = [(each[..., 2:] - each[..., :2]).clip(min=0).prod(axis=-1) for each in (one, two)]
+    union = areas[0] + areas[1] - common
+    ious: Array = np.divide(common, union, out=np.zeros_like(common), where=union > 0)
+    return ious
+
+
+def assign(boxes: Array, found: Array, same: NDArray[np.bool_]) -> list[list[int]]:
+    """The detections of each object, those that overlap it most first.
+
+    ``boxes`` (n, 4) of objects, ``found`` (m, 4) of detections, ``same`` (n, m): of one class.
+    """
+    ious = np.where(same, _box_ious(boxes, found), 0)
+    assigned: list[list[int]] = [[] for _ in boxes]
+    pairs = dict(_one_to_one(ious, DETECTION_IOU))
+    for place, row in pairs.items():
+        assigned[place].append(row)
+    taken = set(pairs.values())
+    for row in range(len(found)):
+        place = int(ious[:, row].argmax()) if len(boxes) else -1
+        if row not in taken and place >= 0 and ious[place, row] >= DETECTION_IOU:
+            assigned[place].append(row)
+    return assigned
