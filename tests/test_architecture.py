@@ -30,7 +30,16 @@ ARROWS: Mapping[str, set[str]] = {
     "facts": {"metrics", "types"},
     "protocols": {"facts", "metrics", "reading", "types"},
     "submissions": {"datasets", "metrics", "reading", "types", "_files"},
-    "evaluation": {"submissions", "protocols", "facts", "datasets", "metrics", "reading", "types", "_files"},
+    "evaluation": {
+        "submissions",
+        "protocols",
+        "facts",
+        "datasets",
+        "metrics",
+        "reading",
+        "types",
+        "_files",
+    },
     "golden": {"protocols", "facts", "evaluation", "metrics", "reading", "types", "_files"},
     "diagnosis": {"_deprecation", "facts", "golden", "evaluation", "metrics", "types"},
     "checks": {

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,16 +18,19 @@ from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.facts import Detected, pair_table
 from pytest_cpas.protocols import Protocol, Ranking, facts_of, rank, ranking_columns
 from pytest_cpas.submissions import (
+    Answers,
     OwnTruth,
     Pairing,
     failures,
     hypothesis,
     in_half_precision,
+    order,
     read_submission,
     symmetry_in_view,
 )
 from pytest_cpas.types import (
     CATEGORIES,
+    Array,
     ContractError,
     Dataset,
     GroundTruth,
@@ -117,24 +120,35 @@ class StoredRun(Run):
         columns = ranking_columns(self.protocols)
         if len(self.samples) < sum(self.listed.values()):
             return None
-        detected = []
+        detected: list[Detected] = []
         for number, image in self._pairing.images.items():
             answers = self._submission.images[number].answers
             if answers.scores is None:
                 return None
-            for row, class_id in enumerate(answers.class_ids.tolist()):
-                detected.append(
-                    Detected(
-                        name=f"{image}/{row}",
-                        image=image,
-                        category=self._submission.category(class_id),
-                        score=float(answers.scores[row]),
-                        hypothesis=self._ranked(number, row),
-                    )
-                )
+            detected += self._detected(number, image, answers, answers.scores)
         truths = [(self._dataset.image(r), r.category, self.truth(r)) for r in self.samples]
         pairs = pair_table(facts_of(columns), detected, truths, self.info.gives)
         return rank(columns, pairs)
+
+    def _detected(
+        self, number: int, image: str, answers: Answers, scores: Array
+    ) -> Iterator[Detected]:
+        """The answers about an image, whatever their order in the file: each is called by the
+        image, its category and its 2-D box in whole pixels, those that share all are numbered."""
+        called: Counter[str] = Counter()
+        for row in order(answers):
+            category = self._submission.category(int(answers.class_ids[row]))
+            own = f"{image}/{category}"
+            if answers.boxes is not None:
+                own += "/" + "_".join(f"{pixel:.0f}" for pixel in answers.boxes[row].tolist())
+            called[own] += 1
+            yield Detected(
+                name=own if called[own] == 1 else f"{own}+{called[own]}",
+                image=image,
+                category=category,
+                score=float(scores[row]),
+                hypothesis=self._ranked(number, row),
+            )
 
     @property
     def notes(self) -> Sequence[str]:

@@ -1,6 +1,6 @@
 """Files of predictions in the forms that the field writes, beside the truth that they answer."""
 
-from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision
+from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
 from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.submissions.reading import read_submission
@@ -16,6 +16,7 @@ __all__ = [
     "failures",
     "hypothesis",
     "in_half_precision",
+    "order",
     "read_submission",
     "symmetry_in_view",
     "truth_of",

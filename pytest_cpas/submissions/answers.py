@@ -10,7 +10,7 @@ from pytest_cpas.submissions.frames import Answers, Image, Objects
 from pytest_cpas.types import AnswerError, Array, ContractError, DataError, Hypothesis, Mesh
 from pytest_cpas.types._arrays import frozen_array
 
-__all__ = ["failures", "hypothesis", "in_half_precision", "rigid"]
+__all__ = ["failures", "hypothesis", "in_half_precision", "order", "rigid"]
 
 #: Largest entry of ``R @ R.T - I`` of a rotation whose entries were rounded to half precision: of
 #: relative errors of 2 ** -11 each, of the sums of three squares and of the scale.
@@ -29,6 +29,19 @@ def in_half_precision(images: Iterable[Image]) -> bool:
             return False
         tells = tells or bool((poses != np.rint(poses)).any())
     return tells
+
+
+def order(answers: Answers) -> list[int]:
+    """The rows of an image's answers in an order that is none of the file: the surest first, those
+    that are equally sure by their other numbers."""
+    count = len(answers)
+    columns = [answers.class_ids, *answers.poses.reshape(count, 16).T]
+    for values in (answers.boxes, answers.extents):
+        columns += [] if values is None else [*values.T]
+    if answers.scores is not None:
+        columns.insert(0, -answers.scores)
+    rows: list[int] = np.lexsort(columns[::-1]).tolist()
+    return rows
 
 
 def failures(answers: Answers) -> list[str | None]:

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.submissions.frames import Answers, Submission
+from pytest_cpas.submissions.answers import order
+from pytest_cpas.submissions.frames import Submission
 from pytest_cpas.submissions.truth import OwnTruth
 from pytest_cpas.types import Array, DataError, Dataset, SampleRef
 
@@ -196,38 +197,38 @@ def _rows(
 ) -> list[list[int]]:
     """Per sample of an image the rows of its answers, the best first."""
     answers = submission.images[number].answers
+    rows = order(answers)
     found: list[list[int]] = [[] for _ in refs]
     if answers.samples is not None:
         places = {ref.id: place for place, ref in enumerate(refs)}
-        for row, sample in enumerate(answers.samples):
-            if sample in places:
-                found[places[sample]].append(row)
+        for row in rows:
+            if answers.samples[row] in places:
+                found[places[answers.samples[row]]].append(row)
     elif answers.truths is not None:
-        for row, truth in enumerate(answers.truths.tolist()):
-            if truth in linked:
-                found[linked[truth]].append(row)
+        for row in rows:
+            if answers.truths[row] in linked:
+                found[linked[int(answers.truths[row])]].append(row)
     elif answers.boxes is not None:
         boxes = _boxes(submission, number, dataset, refs, linked)
         same = np.array(
             [
-                [ref.category == submission.category(i) for i in answers.class_ids.tolist()]
+                [ref.category == submission.category(i) for i in answers.class_ids[rows].tolist()]
                 for ref in refs
             ],
             dtype=bool,
         ).reshape(len(refs), len(answers))
-        found = assign(boxes, answers.boxes, same)
+        assigned = assign(boxes, answers.boxes[rows], same)
+        found = [[rows[place] for place in places] for places in assigned]
     else:
         raise DataError(
             f"{submission.path}: its answers have neither the name of a sample nor a 2-D box, so"
             " that which object they are about cannot be told"
         )
-    for rows in found:
-        rows.sort(key=lambda row: _surest_first(answers, row))
+    if answers.scores is not None:
+        scores = answers.scores.tolist()
+        for each in found:
+            each.sort(key=lambda row: -scores[row])
     return found
-
-
-def _surest_first(answers: Answers, row: int) -> float:
-    return 0.0 if answers.scores is None else -float(answers.scores[row])
 
 
 def _boxes(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -55,6 +55,17 @@ def symmetry_in_view(truths: Truths, index: int, category: str) -> Symmetry | No
     return Symmetry.about((0, 1, 0)) if hidden else None
 
 
+def _digest(truths: Mapping[str, Truths | None]) -> str:
+    """That of the truth about all images, whatever their order in the file."""
+    digest = hashlib.sha256()
+    for _, objects in sorted(truths.items()):
+        if objects is not None:
+            for values in (objects.class_ids, objects.boxes, objects.poses, objects.extents):
+                if values is not None:
+                    digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
+
+
 class OwnTruth(Dataset):
     """What a file itself says is true. Nobody vouches for it but the file."""
 
@@ -69,7 +80,6 @@ class OwnTruth(Dataset):
         self._places: dict[str, tuple[str, Truths, int]] = {}
         self.samples: list[SampleRef] = []
         self.classes = submission.classes
-        digest = hashlib.sha256()
         names: dict[str, str] = {}
         path = submission.path
         if not any(image.truths is not None for image in submission.images):
@@ -90,9 +100,6 @@ class OwnTruth(Dataset):
                 raise DataError(f"{path}: frames {names[at]} and {image.name} give one id, {at}")
             names[at] = image.name
             truths = image.truths
-            for values in (truths.class_ids, truths.boxes, truths.poses, truths.extents):
-                if values is not None:
-                    digest.update(np.ascontiguousarray(values).tobytes())
             for index, class_id in enumerate(truths.class_ids.tolist()):
                 try:
                     ref = SampleRef(
@@ -105,7 +112,7 @@ class OwnTruth(Dataset):
                 self._places[ref.id] = image.name, truths, index
                 self.samples.append(ref)
         self.absent = frozenset(self._places)
-        self.digest = digest.hexdigest()
+        self.digest = _digest({image.name: image.truths for image in submission.images})
 
     def load(self, ref: SampleRef) -> Sample:
         """There are no images; raises :class:`DataError`."""
