@@ -29,7 +29,7 @@ ARROWS: Mapping[str, set[str]] = {
     "datasets": {"reading", "similarity", "types", "_files", "_open3d"},
     "facts": {"metrics", "types"},
     "protocols": {"facts", "metrics", "reading", "types"},
-    "submissions": {"datasets", "metrics", "reading", "types", "_files"},
+    "submissions": {"datasets", "reading", "types"},
     "evaluation": {
         "submissions",
         "protocols",

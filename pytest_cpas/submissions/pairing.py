@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pytest_cpas.submissions.answers import order
 from pytest_cpas.submissions.frames import Submission
 from pytest_cpas.submissions.truth import OwnTruth
-from pytest_cpas.types import Array, DataError, Dataset, SampleRef
+from pytest_cpas.types import Array, Camera, DataError, Dataset, GroundTruth, SampleRef
 
 __all__ = ["Pairing", "assign"]
 
@@ -238,7 +238,8 @@ def _boxes(
     refs: Sequence[SampleRef],
     linked: Mapping[int, int],
 ) -> Array:
-    """The 2-D boxes (n, 4) of samples: the data set's, else those that the file has itself."""
+    """The 2-D boxes (n, 4) of samples: the data set's, else those that the file has itself, else
+    those of the projected objects."""
     truths = submission.images[number].truths
     boxes = np.full((len(refs), 4), np.nan)
     rows = {place: row for row, place in linked.items()}
@@ -246,6 +247,8 @@ def _boxes(
         box = dataset.box(ref)
         if box is None and truths is not None and truths.boxes is not None and place in rows:
             box = truths.boxes[rows[place]]
+        if box is None and dataset.camera is not None:
+            box = _projected(dataset.truth(ref), dataset.camera)
         if box is None:
             raise DataError(
                 f"{submission.path}: which detection is about {ref.id} cannot be told, since"
@@ -253,6 +256,17 @@ def _boxes(
             )
         boxes[place] = box
     return boxes
+
+
+def _projected(truth: GroundTruth, camera: Camera) -> Array | None:
+    """The 2-D box (4,) of a projected box; None of one that is not in front of the camera."""
+    signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = truth.pose.apply(signs * truth.extents / 2)
+    if corners[:, 2].min() <= 0:
+        return None
+    pixels = camera.project(corners)[:, ::-1]
+    box: Array = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    return box
 
 
 def _box_ious(boxes: Array, others: Array) -> Array:

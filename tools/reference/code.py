@@ -30,7 +30,7 @@ API: dict[str, tuple[str, ...]] = {
     "pytest_cpas.golden": ("RunTable", "TableSample", "GoldenError", "find_golden", "record"),
     "pytest_cpas.golden.comparison": ("compare", "Word"),
     "pytest_cpas.golden.published": ("published_cells", "published_curves", "compare_published"),
-    "pytest_cpas.evaluation.predictions": ("StoredRun", "read_frames", "assign_detections"),
+    "pytest_cpas.evaluation.predictions": ("StoredRun",),
     "pytest_cpas.evaluation.results": (
         "read_results",
         "Results",
