@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tables import GOLDEN, REFS, Fixed, a_row, a_run, rows, table, with_facts
+from tables import FACTS, GOLDEN, REFS, Fixed, a_row, a_run, rows, table, with_facts
 
 from pytest_cpas.golden import RunTable, Word, compare, detectable_flips
 from pytest_cpas.metrics.precision import Count
@@ -238,3 +238,22 @@ def test_part_shows_a_change_of_the_size_that_it_states(large):
     (verdict,) = compare(golden, replace(some, samples=broken))
     assert verdict.word is (Word.REGRESSED if "1" in before else Word.NOT_CHECKED)
     assert (name in verdict.details) == ("1" in before)
+
+
+def test_lines_on_samples_are_bounded_however_many_facts_there_are():
+    """A column's own facts are told first; a reason is cut."""
+    protocols = [shipped_protocol(name) for name in (PAPER, "bop", "omni6dpose", "scale-agnostic")]
+    run = Fixed("m", "d", REFS, identity={"data": "x"}, protocols=protocols)
+    more = [name for name in run.facts if name not in FACTS]
+
+    def table_of(niou):
+        made = [with_facts(row, **dict.fromkeys(more, 0.1)) for row in rows()]
+        return [with_facts(row, iou_equal_diagonals=niou) for row in made]
+
+    golden, new = (RunTable.of(run, table_of(niou)) for niou in (0.9, 0.1))
+    details = "".join(verdict.details for verdict in compare(golden, new))
+    assert "s/00 (0.5 cm, 4 deg, IoU 0.9, F 0.95, NAD 0.01, NIoU 0.9 -> " in details
+    assert max(map(len, details.splitlines())) < 1500
+    failed = [a_row(r.id, r.category, failure="no luck " * 250) for r in REFS]
+    lost = compare(GOLDEN, RunTable.of(a_run(), failed))
+    assert all(len(line) < 3000 for v in lost for line in v.details.splitlines())

@@ -55,6 +55,10 @@ def test_a_deterministic_method_that_moved_where_it_was_recorded_is_changed():
     assert (can.word, mug.word, mug.failed) == (Word.MATCHES, Word.CHANGED, True)
     assert f"rotation_deg moved in {len(MUGS)} of {len(MUGS)} samples" in mug.details
     assert "median move +0.1" in mug.details
+    # which is said in one line as well, and in which columns it is judged
+    first = mug.details.splitlines()[0]
+    assert first.endswith(f"themselves: rotation_deg in {len(MUGS)} of {len(MUGS)} samples")
+    assert "; judged in 10 deg, 2 cm; 10 deg, 2 cm, F 0.6; " in mug.details
     # in a single sample as well, and for the better
     assert words(compare(GOLDEN, table(rotation_deg=turned(-0.03, MUGS[:1])))) == {
         "can": Word.MATCHES,
@@ -71,6 +75,7 @@ def test_every_fact_is_guarded(fact):
     assert words(compare(GOLDEN, moved))["mug"] is Word.CHANGED
     (mug,) = [v for v in compare(GOLDEN, table("there", **{fact: moves})) if v.category == "mug"]
     assert mug.word is Word.REGRESSED
+    assert mug.details.splitlines()[0].endswith(f"than another platform moves: {fact} worse")
     assert f"{fact} moved in {len(MUGS)} of {len(MUGS)} samples" in mug.details
 
 
@@ -147,6 +152,9 @@ def test_flips_of_what_lies_on_a_threshold_are_borderline_elsewhere():
     (mug,) = [v for v in compare(golden, new) if v.category == "mug"]
     assert (mug.word, mug.passed) == (Word.BORDERLINE, True)
     assert "30 samples lost and 30 gained on another platform" in mug.details
+    assert mug.details.splitlines()[0].endswith(
+        "across a threshold of 5 deg, 1 cm; 5 deg, 1 cm, F 0.8; 5 deg, 5 cm"
+    )
     # where it was recorded, a flip is a flip
     again = on_a_threshold("here", **{name: -sign for name, sign in signs.items()})
     assert words(compare(golden, again))["mug"] is Word.CHANGED

@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 
 from pytest_cpas.reading import text as reading
 from pytest_cpas.reading.text import (
+    WIDTH,
     csv_cell,
     csv_text,
     encodable,
     everywhere,
+    folded,
     html,
     latex,
     markdown,
@@ -114,3 +116,24 @@ def test_many_line_ends_take_no_time():
 def test_say(capsys):
     say("a\x1b", "::b", 3)
     assert capsys.readouterr().out == "a\\x1b\n\\x3a:b\n3\n"
+
+
+def test_folded_lines_hold_the_same_words_and_fit():
+    """Whatever stands on a line; what has no spaces stays whole."""
+    text = (
+        "REGRESSED mug: "
+        + "lost: a (1 cm) ; " * 200
+        + "\n  note: "
+        + "word " * 50
+        + "\n\nshort  line"
+    )
+    lines = folded(text).split("\n")
+    assert max(map(len, lines)) <= WIDTH
+    assert " ".join(lines).split() == text.split()
+    assert lines[-2:] == ["", "short  line"]
+    assert all(line.startswith("    ") for line in lines[1 : lines.index(lines[0], 0) + 2])
+    noted = lines.index(next(line for line in lines if line.startswith("  note")))
+    assert lines[noted + 1].startswith("      word")
+    assert folded("x" * 500) == "x" * 500
+    # what a line goes on with is no command, once it is escaped
+    assert "\n    ::" not in terminal_lines(folded("a" * 98 + " ::error::"))
