@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
@@ -95,6 +96,7 @@ class MethodRun(Run):
         method: Method,
         dataset: Dataset,
         *,
+        made_by: Callable[..., Method] | None = None,
         selection: Selection | None = None,
         weights: Path | None = None,
         device: str = "cpu",
@@ -105,6 +107,8 @@ class MethodRun(Run):
         protocols: Sequence[Protocol] | None = None,
     ) -> None:
         """List the samples whose category the method knows; nothing is loaded yet.
+
+        ``made_by``: what was called for the method, if that is not its class.
 
         Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row. ``shared``:
         another run of the same method, which is then loaded once for both. ``keeps_shapes``: the
@@ -120,7 +124,10 @@ class MethodRun(Run):
         self.under_contract = shared is None
         self.info = method.info
         self._parts: list[Sequence[type | Callable[..., object]]]
-        self._parts = [[type(method)], readers_of(dataset)]
+        self._parts = [
+            [*dict.fromkeys([type(method), made_by or type(method)])],
+            readers_of(dataset),
+        ]
         programs = self._programs = [program_of(*parts) for parts in self._parts]
         self._meanwhile = Meanwhile(self.loading.seen, *(program.seen for program in programs))
         self.files = united(*(program.files for program in programs))
@@ -171,7 +178,8 @@ class MethodRun(Run):
         if thoroughly:
             for parts, before in zip(self._parts, self._programs, strict=True):
                 now = look_again(*parts)
-                names = [*changed_names(before.files, now.files)]
+                # variables are set by methods as well
+                names = [n for n in changed_names(before.files, now.files) if n[0] != "$"]
                 told = (before.code, before.packages) != (now.code, now.packages)
                 if told and not names:
                     names = ["what it imports"]
@@ -277,8 +285,14 @@ def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
 
 
 def _files_below(folder: Path | None) -> list[Path]:
-    found = [] if folder is None else folder.rglob("*")
-    return sorted(path for path in found if path.is_file())[:_MOST_FILES]
+    """The files of a folder, also where links lead to folders."""
+    found: list[Path] = []
+    been = set()
+    for at, folders, files in os.walk(folder, followlinks=True) if folder else ():
+        been.add(os.path.realpath(at))
+        folders[:] = [f for f in folders if os.path.realpath(os.path.join(at, f)) not in been]
+        found += [path for name in files if (path := Path(at, name)).is_file()]
+    return sorted(found)[:_MOST_FILES]
 
 
 def _undeclared_weights(method: Method, folder: Path | None) -> dict[str, str]:

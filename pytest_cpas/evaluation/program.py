@@ -6,8 +6,8 @@ folders that it shares with others outside of ``site-packages``, extension modul
 files beside a module that its text names. Other distributions are known by their versions. What
 code reaches without an import is looked for in :mod:`pytest_cpas.evaluation.surroundings`.
 
-What cannot be seen either way: files elsewhere whose path is made while it runs, the machine's
-libraries.
+What cannot be seen either way: files and modules elsewhere whose path or name is made while it
+runs, the machine's libraries.
 """
 
 from __future__ import annotations
@@ -30,6 +30,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any
 
+from pytest_cpas.evaluation.elsewhere import (
+    installed_from_elsewhere,
+    module_names,
+    values,
+    variables,
+)
 from pytest_cpas.evaluation.meanwhile import Seen, seen
 from pytest_cpas.evaluation.surroundings import (
     WHOLE,
@@ -42,6 +48,14 @@ from pytest_cpas.evaluation.surroundings import (
 from pytest_cpas.reading.files import read_bytes, sha256
 
 __all__ = ["UNKNOWN", "Program", "found_programs", "look_again", "program_of", "take_programs"]
+
+#: Finders of Python itself, and modules of such that find what others do.
+_OF_PYTHON = (
+    importlib.machinery.BuiltinImporter,
+    importlib.machinery.FrozenImporter,
+    importlib.machinery.PathFinder,
+)
+_NO_OTHERS = ("_pytest.assertion.rewrite",)
 
 #: The digest of a program whose sources are not on a disk.
 UNKNOWN = "unknown"
@@ -131,7 +145,15 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Prog
     known = [source for source in sources if source in search.files]
     if not known or len(known) < len(sources):
         return Program(UNKNOWN, search.packages(), "")
-    around = files_around(search.files, search.texts, search.distributions())
+    # those of the harness name what it reads itself
+    own = (texts for path, texts in search.texts.items() if not _is_harness(search.files[path]))
+    words = set().union(*own)
+    texts = {path: some | values(some) for path, some in search.texts.items()}
+    around = files_around(search.files, texts, search.distributions())
+    named_modules = search.beside()
+    for module in module_names(words):
+        named_modules.follow(module, own=False)
+    around = {**named_modules.files, **around}
     watched = seen({**search.data, **search.files, **around})
     digests = digests_of({**search.data, **around})
     named = {PurePath(text).name for texts in search.texts.values() for text in texts}
@@ -142,8 +164,16 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Prog
             digest = digests.get(path) if size <= WHOLE else None
             grows = size if path.name not in named and may_grow(path) else None
             watched[path] = replace(file, digest=digest, told=path in search.data, grows=grows)
-    files = by_name(around, digests)
+    files = {
+        **by_name(around, digests),
+        **installed_from_elsewhere(search.foreign()),
+        **variables(words),
+    }
     return Program(search.digest(names), search.packages(), _revision(known[0]), files, watched)
+
+
+def _is_harness(module: str) -> bool:
+    return module.partition(".")[0] == "pytest_cpas"
 
 
 def _source_of(part: type | Callable[..., object]) -> Path | None:
@@ -171,10 +201,20 @@ class _Search:
         ]
         self._distributions: set[str] = set()
 
-    def follow(self, module: str) -> None:
-        """Take in a module, the packages it is in, and whatever they import."""
+    def beside(self) -> _Search:
+        """Another one, to which the same distributions are the program's own."""
+        other = _Search()
+        other._distributions = set(self._distributions)
+        return other
+
+    def follow(self, module: str, *, own: bool = True) -> None:
+        """Take in a module, the packages it is in, and whatever they import.
+
+        ``own``: its distribution is the program's.
+        """
         waiting = [module]
-        self._distributions |= set(_distributions().get(module.partition(".")[0], ()))
+        if own:
+            self._distributions |= set(_distributions().get(module.partition(".")[0], ()))
         while waiting:
             name = waiting.pop()
             if name in self._seen:
@@ -202,9 +242,11 @@ class _Search:
                 self.data |= {file: f"{name}/{file.name}" for file in _named_files(texts, path)}
 
     def _is_own(self, top: str, path: Path) -> bool:
-        """Whether a file is the program's: of the same distribution, or not installed at all."""
+        """Whether a file is the program's: of the same distribution, of none, whose version would
+        be told, or not installed at all."""
         if is_installed(path) or any(path.is_relative_to(folder) for folder in self._installed):
-            return bool(self._distributions.intersection(_distributions().get(top, ())))
+            owners = _distributions().get(top, ())
+            return not owners or not self._distributions.isdisjoint(owners)
         return True
 
     def distributions(self) -> set[str]:
@@ -220,10 +262,13 @@ class _Search:
             total.update(f"{name} {content}\n".encode(errors="backslashreplace"))
         return total.hexdigest()[:16]
 
+    def foreign(self) -> list[str]:
+        """The distributions that are imported and are not the program's own."""
+        return sorted({name for top in self._foreign for name in _distributions().get(top, ())})
+
     def packages(self) -> str:
         """Python, and the distributions that are imported, with their versions."""
-        names = {name for top in self._foreign for name in _distributions().get(top, ())}
-        versions = [f"{name} {importlib.metadata.version(name)}" for name in sorted(names)]
+        versions = [f"{name} {importlib.metadata.version(name)}" for name in self.foreign()]
         return ", ".join([f"python {platform.python_version()}", *versions])
 
 
@@ -253,9 +298,19 @@ def _file_of(name: str) -> Path | None:
 def _spec_of(name: str, path: Sequence[str] | None) -> importlib.machinery.ModuleSpec | None:
     """Where a module is, below the folders of the package that it is in; None if nobody knows."""
     # a folder without __init__.py asks for the modules above it, which nobody may have loaded
+    spec = None
     for asked in (name, name.rpartition(".")[2]):
         with suppress(Exception):
-            return importlib.machinery.PathFinder.find_spec(asked, path)
+            spec = importlib.machinery.PathFinder.find_spec(asked, path)
+            break
+    if spec is not None or path is not None:
+        return spec
+    # a package that is installed as editable may be found by a finder of its own alone
+    for finder in sys.meta_path:
+        if type(finder).__module__ not in _NO_OTHERS and finder not in _OF_PYTHON:
+            with suppress(Exception):
+                if (spec := finder.find_spec(name, None)) is not None:
+                    return spec
     return None
 
 

@@ -67,7 +67,9 @@ _ARCHIVES = frozenset({".zip", ".egg", ".whl", ".pyz"})
 _MARKS = (".git", "pyproject.toml", "setup.py", "setup.cfg")
 
 #: Folders that hold other people's code, or none.
-_NEVER = frozenset({"__pycache__", "site-packages", "dist-packages", "node_modules"})
+_NEVER = frozenset(
+    {"__pycache__", "site-packages", "dist-packages", "node_modules", ".git", ".cache"}
+)
 
 #: Folders, and files, that are about a method and no part of it, unless its text names them.
 _ASIDE = frozenset({"tests", "test", "docs", "doc"})
@@ -95,6 +97,9 @@ _PIECES, _PIECE = 64, 2**16
 
 #: How the digest of a file ends of which the size alone counts.
 _UNREAD = " bytes"
+
+#: Where a name that begins with ~, or is below Path.home(), begins.
+_HOME = Path("~")
 
 #: Longest text that may be a path, and what is none.
 _LONGEST_PATH = 200
@@ -198,18 +203,18 @@ class _Look:
         for text in self._texts.get(module, ()):
             if len(text) > _LONGEST_PATH or _NO_PATH.search(text):
                 continue
-            for start in (module.parent, Path.cwd()):
-                path = start / text
+            for start in (module.parent, Path.cwd(), _HOME):
+                path = start / text.removeprefix("~/")
                 if path in self._tried:
                     continue
                 self._tried.add(path)
                 with suppress(OSError, ValueError, RuntimeError):
-                    self._at_name(path, text)
+                    self._at_name(path.expanduser(), text, start)
 
-    def _at_name(self, path: Path, text: str) -> None:
+    def _at_name(self, path: Path, text: str, start: Path) -> None:
         if path.is_file():
             self.found.setdefault(path.resolve(), text)
-        elif path.is_dir():
+        elif path.is_dir() and start != _HOME:  # where folders are everybody's
             path = path.resolve()
             if self._is_entered(path) and path not in _everybodys():
                 self.into(path, only_code=True)
@@ -226,9 +231,9 @@ class _Look:
         name = folder.name
         if folder in self._holding:
             return True
-        if name.startswith(".") or name in _NEVER or folder in _left_out:
+        if name in _NEVER or folder in _left_out:
             return False
-        return name not in _ASIDE or name in self._words
+        return (name not in _ASIDE and not name.startswith(".")) or name in self._words
 
     def _is_read(self, path: Path) -> bool:
         """Whether a file that is neither code nor settings by its name may be read by code."""

@@ -49,7 +49,7 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     datasets = [registry.open_dataset(name, options.data) for name in options.datasets]
     runs: list[Run] = []
     for (name, make), dataset in itertools.product(methods, datasets):
-        runs += _method_runs(_made(name, make), dataset, options)
+        runs += _method_runs(_made(name, make), make, dataset, options)
     asked: Sequence[Dataset | None] = datasets or [None]
     runs += [
         StoredRun(path, dataset=dataset, selection=options.selection, protocols=options.protocols)
@@ -148,13 +148,16 @@ def _check_both_sides(options: RunOptions) -> None:
     raise ValueError(f"--cpas-{given} needs --cpas-{lacking} NAME as well; registered: {known}")
 
 
-def _method_runs(method: Method, dataset: Dataset, options: RunOptions) -> list[MethodRun]:
+def _method_runs(
+    method: Method, made_by: Callable[[], Method], dataset: Dataset, options: RunOptions
+) -> list[MethodRun]:
     """The run of a method on a data set; with a profile, one for each part that this makes."""
     runs: list[MethodRun] = []
     for part in perturbed(dataset, method.info) if options.robustness else (dataset,):
         run = MethodRun(
             method,
             part,
+            made_by=made_by,
             weights=options.weights,
             device=options.device,
             seed=options.seed,

@@ -12,6 +12,7 @@ through. The table and the recorded golden files must be those of a run that nob
 import itertools
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -57,8 +58,9 @@ def workers_of(pid: int) -> list[int]:
 
 
 def outcome(folder: Path, output: str) -> tuple[list[str], dict[str, bytes]]:
-    """The table as printed, and the golden files."""
-    table = [line for line in output.splitlines() if " %" in line or "judged" in line]
+    """The counts as printed, and the golden files. (Guards are printed in another way where a run
+    that was killed had recorded them.)"""
+    table = [line for line in output.splitlines() if re.search(r"\d/\d+ .* %| judged$", line)]
     files = {p.name: p.read_bytes() for p in (folder / "golden").rglob("*") if p.is_file()}
     return table, files
 

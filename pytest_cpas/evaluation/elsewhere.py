@@ -1,0 +1,68 @@
+"""What a program reaches by the words of its text alone: environment variables and modules.
+
+``os.environ``, ``__import__``, ``pkgutil.resolve_name`` and tables of names are no imports that a
+search could follow, but what they are given stands in the text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import re
+from collections.abc import Collection, Iterable
+
+__all__ = ["installed_from_elsewhere", "module_names", "values", "variables"]
+
+_VARIABLE = re.compile(r"[A-Z][A-Z0-9_]{2,}")
+
+#: Variables that tell of a machine, a user or a job: each has its own, and answers the same.
+_OF_MACHINES = re.compile(
+    r"HOME|PATH|USER|LOGNAME|SHELL|PWD|OLDPWD|TMP|TEMP|TMPDIR|LANG|TERM|DISPLAY|HOSTNAME|PYTHONPATH"
+    r"|VIRTUAL_ENV|RANK|LOCAL_RANK|WORLD_SIZE|CUDA_VISIBLE_DEVICES|CI"
+    r"|(CPAS|PYTEST|SLURM|GITHUB|MASTER|XDG|CONDA)_.*"
+)
+
+_MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+
+
+def _named(texts: Iterable[str]) -> list[str]:
+    found = {text for text in texts if _VARIABLE.fullmatch(text) and text in os.environ}
+    return sorted(name for name in found if not _OF_MACHINES.fullmatch(name))
+
+
+def variables(texts: Collection[str]) -> dict[str, str]:
+    """A digest of each environment variable that is set and that a text names, by ``$NAME``."""
+    return {f"${name}": _digest(os.environ[name]) for name in _named(texts)}
+
+
+def values(texts: Collection[str]) -> set[str]:
+    """What those variables hold, which may be paths."""
+    return {os.environ[name] for name in _named(texts)}
+
+
+def module_names(texts: Iterable[str]) -> list[str]:
+    """What may be the name of a module, or of something in one (``package.module:Class``)."""
+    names = {text.partition(":")[0] for text in texts}
+    return sorted(name for name in names if len(name) < 100 and _MODULE.fullmatch(name))
+
+
+def installed_from_elsewhere(distributions: Iterable[str]) -> dict[str, str]:
+    """A digest of each distribution that was not installed from an index, but from a folder, an
+    archive or a repository, where other code may have the same version."""
+    digests = {}
+    for name in distributions:
+        distribution = importlib.metadata.distribution(name)
+        if url := distribution.read_text("direct_url.json"):
+            told = json.loads(url)
+            came_from = [told.get("vcs_info"), told.get("archive_info")]
+            lines = (distribution.read_text("RECORD") or "").splitlines()
+            # neither scripts, which name the environment, nor what tells of the installation
+            files = [line for line in lines if not re.match(r"\.\.|[^/]*\.dist-info/", line)]
+            digests[f"{name} as installed"] = _digest(json.dumps([came_from, sorted(files)]))
+    return digests
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()[:16]
