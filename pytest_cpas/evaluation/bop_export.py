@@ -50,7 +50,7 @@ def export_bop(results: Path, data: Path, target: Path) -> int:
         origin = 1000 * (pose.translation - rotation @ models[number].centre)
         r, t = (" ".join(f"{v:.9g}" for v in values) for values in (rotation.ravel(), origin))
         lines.append(f"{scene},{image},{number},1,{r},{t},-1")
-    write_file(target, "\n".join(lines) + "\n")
+    write_file(target, "\n".join(lines) + "\n", below=target.parent)
     return len(rows)
 
 

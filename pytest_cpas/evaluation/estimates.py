@@ -90,6 +90,9 @@ def decode_shape(text: str) -> Array:
     corner = 6 * _DTYPE.itemsize
     if len(content) <= corner or (len(content) - corner) % 3:
         raise ValueError("a shape is 6 float32 and 3 bytes per point, in base64")
+    if len(content) - corner > 3 * SHAPE_POINTS:
+        count = (len(content) - corner) // 3
+        raise ValueError(f"a shape of {count} points, at most {SHAPE_POINTS} are kept")
     low, size = np.frombuffer(content[:corner], _DTYPE).reshape(2, 3).astype(float)
     if not np.isfinite([low, size]).all() or (size < 0).any():
         raise ValueError("the box of a shape is not finite, or turned inside out")

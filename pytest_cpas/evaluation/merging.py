@@ -60,6 +60,8 @@ class MergedRun(Run):
         self.seeds = header.seeds
         self.robustness_point = RobustnessPoint.named(header.dataset)
         self.under_contract = header.under_contract
+        #: The files of the shards.
+        self.paths = [part.path for part in parts]
         #: What the checks of the contract found, shard by shard.
         self.contract = [part.contract for part in parts]
         #: The data set that was judged, if it is at hand.

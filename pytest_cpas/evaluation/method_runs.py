@@ -20,6 +20,7 @@ from pytest_cpas.evaluation.surroundings import changed_names, piecewise_digest,
 from pytest_cpas.evaluation.watchdog import ChannelError, Limit, Limited
 from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
+from pytest_cpas.reading.checkpoints import LARGEST_CHECKPOINT
 from pytest_cpas.reading.files import sha256
 from pytest_cpas.types import (
     AnswerError,
@@ -35,6 +36,7 @@ from pytest_cpas.types import (
     ToldError,
     as_dataset,
     assets_of,
+    message_of,
     raised_as,
 )
 from pytest_cpas.types.datasets import readers_of
@@ -194,7 +196,7 @@ class MethodRun(Run):
     def loaded(self) -> Method:
         """The method, ready; :class:`MethodError` if it cannot be loaded."""
         if self.loading.error is not None:
-            raise MethodError(f"the method cannot be loaded: {self.loading.error}")
+            raise MethodError(f"the method cannot be loaded: {message_of(self.loading.error)}")
         return self._method
 
     def fresh(self) -> Method:
@@ -280,7 +282,8 @@ def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
         return {}
     digest = hashlib.sha256()
     for asset in sorted(assets, key=lambda asset: asset.path):
-        digest.update(f"{asset.path} {sha256(folder / asset.path)}\n".encode())
+        content = sha256(folder / asset.path, LARGEST_CHECKPOINT)
+        digest.update(f"{asset.path} {content}\n".encode())
     return {"weights": digest.hexdigest()[:16]}
 
 

@@ -17,7 +17,17 @@ from pytest_cpas.facts import fact
 from pytest_cpas.types import SampleRef, shown
 from pytest_cpas.types._arrays import MAX
 
-__all__ = ["check_row", "contract", "header", "ref", "row", "several_texts", "text", "texts"]
+__all__ = [
+    "check_row",
+    "contract",
+    "header",
+    "line",
+    "ref",
+    "row",
+    "several_texts",
+    "text",
+    "texts",
+]
 
 _T = TypeVar("_T")
 
@@ -31,14 +41,41 @@ _POSE = ("position_m", "rotation_deg")
 #: No two positions that are read are farther apart, metres.
 LARGEST_ERROR = 1e31
 
+#: Characters of a text: more than a run keeps of a reason, an exception or a message, each of which
+#: it shortens to thousands.
+LONGEST_TEXT = 2**20
+
+_FIRST_LINE = ({"header", "format"},)
+_OTHER_LINES = (
+    {"row", "ref"},
+    {"error", "ref"},
+    {"contract"},
+    {"changed"},
+    {"program", "files"},
+)
+
 #: Share of a limit by which rounding may exceed it.
 _SLACK = 1e-9
 
 
+def line(value: Any, *, first: bool) -> dict[str, Any]:
+    """A line, which has the keys of one of the kinds of lines; the ``first`` one has a header."""
+    kinds = _FIRST_LINE if first else _OTHER_LINES
+    if not isinstance(value, dict) or value.keys() not in kinds:
+        expected = "; or ".join(" and ".join(sorted(keys)) for keys in kinds)
+        raise ValueError(f"the line is {shown(value)}, expected {expected}")
+    return value
+
+
 def text(name: str, value: Any) -> str:
-    """A text."""
+    """A text, of at most :data:`LONGEST_TEXT` characters."""
     if not isinstance(value, str):
         raise ValueError(f"{name} is {shown(value)}, expected a text")
+    if len(value) > LONGEST_TEXT:
+        raise ValueError(
+            f"{name} is {shown(value)}, a text of {len(value)} characters, expected at most"
+            f" {LONGEST_TEXT}"
+        )
     return value
 
 
@@ -118,12 +155,10 @@ def _check_fact(name: str, value: Any, *, failed: bool) -> None:
     if value is None and name not in _POSE:
         return
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    largest = min(made.most * (1 + _SLACK), LARGEST_ERROR if made.unit == "m" else MAX)
-    if number and (value == made.failed if failed else 0 <= value <= largest):
+    most = min(made.most, LARGEST_ERROR if made.unit == "m" else MAX)
+    if number and (value == made.failed if failed else 0 <= value <= most * (1 + _SLACK)):
         return
-    expected = (
-        f"{made.failed} of a failed prediction" if failed else f"a number from 0 to {made.most:g}"
-    )
+    expected = f"{made.failed} of a failed prediction" if failed else f"a number from 0 to {most:g}"
     raise ValueError(f"{name} is {shown(value)}, expected {expected}")
 
 
@@ -160,7 +195,7 @@ def _seeds(name: str, value: Any) -> int:
 
 
 def _shard(name: str, value: Any) -> str:
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text(name, value))
+    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text(name, value))
     if not found or not 1 <= int(found[1]) <= int(found[2]):
         raise ValueError(f"{name} is {shown(value)}, expected i/n with 1 <= i <= n")
     return str(value)

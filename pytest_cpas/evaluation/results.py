@@ -14,7 +14,7 @@ import hashlib
 import re
 import secrets
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run
 from pytest_cpas.evaluation.surroundings import changes
 from pytest_cpas.reading.files import read_bytes
-from pytest_cpas.reading.structured import json_value
-from pytest_cpas.types import DataError, SampleRef, ToldError
+from pytest_cpas.reading.structured import LARGEST_JSON, json_value
+from pytest_cpas.types import DataError, SampleRef, ToldError, shown
 
 __all__ = [
     "Header",
@@ -40,8 +40,8 @@ __all__ = [
 
 FORMAT = 7
 
-#: Largest file, bytes: a million rows have a third of it.
-LARGEST = 2**30
+#: Largest file, bytes: a million rows have two thirds of it.
+LARGEST = 2**29
 
 #: Characters of a checksum.
 _CHECKSUM = 16
@@ -67,9 +67,9 @@ class Shard:
     @classmethod
     def parse(cls, text: str) -> Shard:
         """From ``i/n``; raises :class:`ValueError`."""
-        match = re.fullmatch(r"(\d+)/(\d+)", text)
+        match = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
         if not match or not 1 <= int(match[1]) <= int(match[2]):
-            raise ValueError(f"shard {text!r}: expected i/n with 1 <= i <= n, such as 2/4")
+            raise ValueError(f"shard {shown(text)}: expected i/n with 1 <= i <= n, such as 2/4")
         return cls(int(match[1]), int(match[2]))
 
     def __str__(self) -> str:
@@ -167,7 +167,7 @@ def parse_results(path: Path, content: bytes) -> Results:
     contract: dict[str, Mapping[str, Any]] = {}
     changed: list[str] = []
     size, last = 0, b""
-    for number, line in enumerate(content.split(b"\n")[:-1], 1):  # the rest was cut off
+    for number, line in enumerate(_whole_lines(content), 1):
         seen, _, text = line.partition(b" ")
         expected = checksum_of(last, text)
         if seen != expected:
@@ -177,10 +177,11 @@ def parse_results(path: Path, content: bytes) -> Results:
             )
         size, last = size + len(line) + 1, expected
         try:
-            value = json_value("its JSON", text)
+            value = result_lines.line(json_value("its JSON", text), first=header is None)
             if header is None:
                 if value["format"] != FORMAT:
-                    raise ValueError(f"format {value['format']}, this version reads {FORMAT}")
+                    told = shown(value["format"])
+                    raise ValueError(f"format {told}, this version reads {FORMAT}")
                 header = Header(**result_lines.header(value["header"]))
             elif "contract" in value:
                 found = result_lines.contract(value["contract"])
@@ -210,10 +211,15 @@ def parse_results(path: Path, content: bytes) -> Results:
                     errors.pop(ref.id, None)
                 else:
                     errors[ref.id] = result_lines.text("error", value["error"])
-        except (ValueError, TypeError, KeyError, AttributeError, IndexError) as error:
+        except ValueError as error:
             raise ResultsError(
                 f"{path}, line {number}: --cpas-results of this version did not write it ({error})"
             ) from error
+    if len(content) - size > LARGEST_JSON:
+        raise ResultsError(
+            f"{path}: its last line was cut off after {len(content) - size} bytes, and no run"
+            f" writes one of more than {LARGEST_JSON}; remove the file and run again"
+        )
     if header is None:
         raise ResultsError(f"{path}: does not begin with the header of a results file")
     _check_counts(path, header, refs.values())
@@ -228,6 +234,14 @@ def parse_results(path: Path, content: bytes) -> Results:
         size=size,
         last=last,
     )
+
+
+def _whole_lines(content: bytes) -> Iterator[bytes]:
+    """The lines of a file, but for a last one that was cut off, one at a time."""
+    start = 0
+    while (end := content.find(b"\n", start)) >= 0:
+        yield content[start:end]
+        start = end + 1
 
 
 def together(one: Mapping[str, str], other: Mapping[str, str]) -> Mapping[str, str]:

@@ -26,7 +26,7 @@ from pytest_cpas.protocols import (
     score_columns,
     shipped_protocol,
 )
-from pytest_cpas.types import DataError, GroundTruth, MethodInfo, SampleRef, ToldError
+from pytest_cpas.types import DataError, GroundTruth, MethodInfo, SampleRef, ToldError, shortened
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
 
@@ -49,6 +49,17 @@ def kernels() -> str:
     )
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     return ", ".join([*words, *found[-1:]]) or "unknown"
+
+
+#: Lines that a run keeps of what is missing, or damaged.
+_MOST_LINES = 1000
+
+
+def _told(lines: Sequence[str]) -> tuple[str, ...]:
+    """Lines as a run keeps them: neither endless, nor without end."""
+    kept = tuple(shortened(line) for line in lines[:_MOST_LINES])
+    more = len(lines) - _MOST_LINES
+    return (*kept, f"and {more} more") if more > 0 else kept
 
 
 class SampleError(ToldError):
@@ -125,7 +136,7 @@ class Run(ABC):
         _check_ids(self.dataset, samples)
         self.listed = Counter(sample.category for sample in samples)
         self.samples = (selection or Selection()).of(samples)
-        self.missing, self.damaged = missing, damaged
+        self.missing, self.damaged = _told(missing), _told(damaged)
         self.identity: Mapping[str, str] = identity
         self.protocols = (shipped_protocol(PAPER),) if protocols is None else tuple(protocols)
         of_samples: tuple[Column, ...] = (

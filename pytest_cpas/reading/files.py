@@ -87,15 +87,16 @@ _BINARY = getattr(os, "O_BINARY", 0)
 
 def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
     """The content of a regular file of at most ``limit`` bytes; else :class:`DataError`."""
-    return b"".join(_chunks(path, limit))
+    # in one piece unless it grows, so that no two copies of it are in memory
+    return b"".join(_chunks(path, limit, -1))
 
 
-def _chunks(path: Path, limit: int) -> Iterator[bytes]:
+def _chunks(path: Path, limit: int, each: int = 2**24) -> Iterator[bytes]:
     size = 0
     with opened(path, limit) as file:
         while True:
             try:
-                chunk = file.read(2**24)
+                chunk = file.read(each)
             except OSError as error:
                 raise DataError(f"{path}: cannot be read ({_reason(error)})") from error
             if not chunk:

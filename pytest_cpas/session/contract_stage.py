@@ -5,9 +5,10 @@ from __future__ import annotations
 import functools
 import inspect
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +26,13 @@ from pytest_cpas.evaluation import (
     MergedRun,
     MethodError,
     MethodRun,
+    ResultsError,
     Run,
     SampleError,
     Selection,
 )
 from pytest_cpas.golden import RunTable
-from pytest_cpas.types import ContractError, Sample, SampleRef
+from pytest_cpas.types import ContractError, Sample, SampleRef, shown
 from pytest_cpas.types.samples import evenly
 
 __all__ = [
@@ -170,8 +172,12 @@ class StoredStage:
     wrong = ""
 
     def __init__(self, run: MergedRun) -> None:
-        """From what each shard stored, by check."""
-        results = [ContractResult(**result) for shard in run.contract for result in shard.values()]
+        """From what each shard stored, by check; :class:`ResultsError` for what no check finds."""
+        results = [
+            _stored(path, result)
+            for path, shard in zip(run.paths, run.contract, strict=True)
+            for result in shard.values()
+        ]
         results.sort(key=lambda result: (result.violated, not result.known))
         self._results = {result.check: result for result in results}
         if is_complete(run):
@@ -192,6 +198,20 @@ class StoredStage:
         return []
 
 
+def _stored(path: Path, result: Mapping[str, Any]) -> ContractResult:
+    if result["check"] not in CONTRACT:
+        raise ResultsError(
+            f"{path}: the contract has no check {shown(result['check'])}; its checks are"
+            f" {', '.join(CONTRACT)}. Run again with this version"
+        )
+    if result["outcome"] not in [*Outcome]:
+        raise ResultsError(
+            f"{path}: check {result['check']} ended with {shown(result['outcome'])}, expected one"
+            f" of {', '.join(Outcome)}"
+        )
+    return ContractResult(**result)
+
+
 Stage = ContractStage | StoredStage
 
 
@@ -201,7 +221,8 @@ def is_complete(run: Run) -> bool:
 
 
 def contract_stages(runs: Sequence[Run]) -> dict[Run, Stage]:
-    """The contract of each run that has one; :class:`DeclarationError` for a damaged file."""
+    """The contract of each run that has one; :class:`DeclarationError` for a damaged file of what
+    is known, :class:`ResultsError` for a results file with what no check finds."""
     return {
         run: StoredStage(run) if isinstance(run, MergedRun) else ContractStage(run)
         for run in runs

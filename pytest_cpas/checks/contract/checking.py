@@ -27,6 +27,7 @@ from pytest_cpas.types import (
     Observation,
     Prediction,
     Sample,
+    shortened,
 )
 from pytest_cpas.types.frames import to_standard
 
@@ -335,6 +336,7 @@ class ContractResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "outcome", Outcome(self.outcome))
+        object.__setattr__(self, "message", shortened(self.message))
 
     def plain(self) -> dict[str, Any]:
         """Values to make it of again, in another process as well."""
