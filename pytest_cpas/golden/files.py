@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -63,9 +64,18 @@ def find_golden(golden: Path, method: str, dataset: str) -> RunTable | None:
     Raises :class:`GoldenError` for a table that is damaged.
     """
     for root in (golden, shipped_golden()):
+        for folder in _places(root, method, dataset):
+            _check_folders(root, folder)
         if (table := _find(root, method, dataset)) is not None:
             return table
     return None
+
+
+def _check_folders(root: Path, folder: Path) -> None:
+    """Raise :class:`GoldenError` if something else stands where a folder is looked for."""
+    for place in (*reversed(folder.relative_to(root).parents), folder.relative_to(root)):
+        if os.path.lexists(root / place) and not os.path.isdir(root / place):
+            raise GoldenError(f"{root / place}: no folder, so no golden table is found below it")
 
 
 def _find(golden: Path, method: str, dataset: str) -> RunTable | None:
@@ -93,7 +103,12 @@ def is_recorded(folder: Path) -> bool:
         there = names(folder)
     except DataError as error:
         raise GoldenError(str(error)) from error
-    return any(name in (OLDER_TABLE, OLDER_SAMPLES) or is_of_table(name) for name in there)
+    return any(map(is_table_file, there))
+
+
+def is_table_file(name: str) -> bool:
+    """Whether a golden table has a file of this name, in its form of today or in an older one."""
+    return name in (OLDER_TABLE, OLDER_SAMPLES) or is_of_table(name)
 
 
 def record(golden: Path, table: RunTable) -> Path:
@@ -359,7 +374,7 @@ def _read_texts(folder: Path, run: bytes) -> dict[str, str]:
 def _text(path: Path, content: bytes) -> str:
     """Text that may have been checked out with the line ends of Windows; what is recorded has no
     carriage return of its own."""
-    return decoded(path, content).replace("\r\n", "\n")
+    return decoded(path, content.replace(b"\r\n", b"\n"))
 
 
 def _bytes(path: Path) -> bytes:

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from pytest_cpas.golden.comparison import compare
-from pytest_cpas.golden.files import is_recorded, read_tables
+from pytest_cpas.golden.files import is_recorded, is_table_file, read_tables
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
 from pytest_cpas.golden.points import ROBUSTNESS, kept_files, kept_tables, parse_kept
 from pytest_cpas.golden.tables import GoldenError, RunTable
 from pytest_cpas.golden.texts import RUN
+from pytest_cpas.golden.waiting import LARGEST
 from pytest_cpas.golden.words import Word
+from pytest_cpas.reading.files import decoded
+from pytest_cpas.reading.text import terminal_line
+from pytest_cpas.types import DataError
 
 __all__ = ["golden_diff"]
+
+#: Of the path of a file of a table: recorded, the method, the data set, the file.
+_PARTS = 4
 
 
 def golden_diff(golden: Path, revision: str) -> Iterator[str]:
@@ -25,7 +33,11 @@ def golden_diff(golden: Path, revision: str) -> Iterator[str]:
     """
     _git(golden, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}")
     listed = _git(golden, "ls-tree", "-r", "-z", "--name-only", revision, "--", "recorded")
-    then = {Path(name).parent for name in listed.decode().split("\0") if name}
+    then = {
+        path.parent
+        for path in map(Path, os.fsdecode(listed).split("\0"))
+        if len(path.parts) == _PARTS and is_table_file(path.name)
+    }
     now = {
         path.relative_to(golden)
         for path in golden.glob("recorded/*/*")
@@ -35,17 +47,21 @@ def golden_diff(golden: Path, revision: str) -> Iterator[str]:
     new: dict[str, RunTable] = {}
     for folder in sorted(then, key=_points_first):
         if _title(folder) not in old:
-            old |= _titled(_tables_at(golden, folder, revision))
+            try:
+                old |= _titled(_tables_at(golden, folder, revision))
+            except (GoldenError, DataError) as error:
+                raise GoldenError(f"{revision}:{folder.as_posix()}: {error}") from error
     for folder in sorted(now, key=_points_first):
         if _title(folder) not in new:
             new |= _titled(read_tables(golden / folder))
     for title in sorted({*old, *new}):
+        told = terminal_line(title)
         if title not in new:
-            yield f"{title}: there is none any more"
+            yield f"{told}: there is none any more"
         elif title not in old:
-            yield f"{title}: there was none in {revision}"
+            yield f"{told}: there was none in {revision}"
         else:
-            yield from _changed(title, old[title], new[title])
+            yield from _changed(told, old[title], new[title])
 
 
 def _points_first(folder: Path) -> tuple[bool, Path]:
@@ -72,12 +88,14 @@ def _tables_at(golden: Path, folder: Path, revision: str) -> dict[str, RunTable]
     """The tables that a folder held in a revision, by the names of their data sets."""
 
     def text(name: str) -> str:
-        content = _git(golden, "show", f"{revision}:./{folder.as_posix()}/{name}")
-        return content.decode("utf-8", "replace").replace("\r\n", "\n")
+        place = f"{revision}:./{folder.as_posix()}/{name}"
+        if (size := int(_git(golden, "cat-file", "-s", place))) > LARGEST:
+            raise GoldenError(f"{name}: {size} bytes, at most {LARGEST} are read")
+        return decoded(Path(name), _git(golden, "cat-file", "blob", place)).replace("\r\n", "\n")
 
     method, name = folder.parts[-2:]
     inside = f"{folder.as_posix()}/"
-    there = _git(golden, "ls-tree", "-z", "--name-only", revision, "--", inside).decode()
+    there = os.fsdecode(_git(golden, "ls-tree", "-z", "--name-only", revision, "--", inside))
     if f"{inside}{RUN}" not in there.split("\0"):
         return kept_tables(parse_older(method, name, text(OLDER_TABLE), text(OLDER_SAMPLES)))
     run = text(RUN)

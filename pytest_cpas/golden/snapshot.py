@@ -28,7 +28,7 @@ from pytest_cpas.golden.spread import ALARM
 from pytest_cpas.golden.tables import RunTable
 from pytest_cpas.golden.texts import table_texts
 from pytest_cpas.reading.text import terminal_line, terminal_lines
-from pytest_cpas.types import Required, Verdict
+from pytest_cpas.types import Required, Verdict, shown
 
 
 def golden_folder(config: pytest.Config) -> Path:
@@ -42,8 +42,13 @@ def golden_folder(config: pytest.Config) -> Path:
     named: str | None = config.option.cpas_golden
     if named:
         return here / named
+    ini = str(config.getini("cpas_golden") or "golden")
+    if "\0" in ini:
+        raise pytest.UsageError(
+            f"cpas_golden is {shown(ini)}, expected a folder; no name has a NUL"
+        )
     is_project = config.inipath is not None and here.is_relative_to(config.rootpath)
-    return (config.rootpath if is_project else here) / str(config.getini("cpas_golden") or "golden")
+    return (config.rootpath if is_project else here) / ini
 
 
 def alarm_level(config: pytest.Config) -> float:

@@ -22,8 +22,8 @@ from pytest_cpas.reading.paths import names
 
 __all__ = ["LARGEST", "Waiting", "digest_of", "finish", "is_of_table", "put", "waiting"]
 
-#: Largest file of a table, bytes: that of some million samples.
-LARGEST = 2**30
+#: Largest file of a table, bytes: that of more than a million samples.
+LARGEST = 2**28
 
 _FORM = re.compile(r"\.waiting-([0-9a-f]{32})-([0-9a-f]{32})-([a-z.][a-z0-9.-]{0,99})")
 

@@ -92,7 +92,7 @@ EDITS = {
     **{
         f"line of another kind, {line}": (
             lambda lines, line=line: lines.append(line),
-            "line 5: .*the line is .*, expected ref and row; or error and ref; or contract; or changed; or f",
+            "line 5: .*the line is .*, expected ref and row; or error and ref; or contract; or",
         )
         for line in (
             [],

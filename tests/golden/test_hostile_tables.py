@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from tables import GOLDEN, table
 
-from pytest_cpas.golden import GoldenError
+from pytest_cpas.golden import GoldenError, find_golden, record
 from pytest_cpas.golden.older import parse_older
 from pytest_cpas.golden.parsing import parse_table
 from pytest_cpas.golden.texts import table_texts
@@ -147,3 +147,24 @@ def test_number_of_an_older_table_that_no_run_gives_is_refused(field, value):
     )
     with pytest.raises(GoldenError, match=r"samples\.csv, line 2: "):
         parse_older("m", "d", toml, samples)
+
+
+@pytest.mark.parametrize("gone", ["run.toml", "facts.csv", "cpas.toml"])
+@pytest.mark.parametrize("left", ["nothing", "a link to nowhere", "a link to itself"])
+def test_table_without_one_of_its_files_is_damaged(gone, left, tmp_path):
+    """Not one that nobody has recorded, which would be green."""
+    path = record(tmp_path, GOLDEN) / gone
+    path.unlink()
+    if left != "nothing":
+        path.symlink_to(gone if "itself" in left else "nowhere")
+    with pytest.raises(GoldenError, match=f"{gone}.*damaged or edited by hand"):
+        find_golden(tmp_path, "m", "d")
+
+
+@pytest.mark.parametrize("place", [".", "recorded", "recorded/m", "recorded/m/d"])
+def test_what_is_no_folder_holds_no_table(place, tmp_path):
+    path = tmp_path / "golden" / place
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    with pytest.raises(GoldenError, match=f"{re.escape(str(path))}: no folder"):
+        find_golden(tmp_path / "golden", "m", "d")

@@ -1,13 +1,16 @@
 """``pytest-cpas golden diff``: what the tables of two revisions differ in, with a real git."""
 
+import os
+import shutil
 import subprocess
+import sys
 
 import pytest
 from older_tables import record_older
 from tables import GOLDEN, table
 
 from pytest_cpas.cli import main
-from pytest_cpas.golden import GoldenError, golden_diff, record
+from pytest_cpas.golden import GoldenError, golden_diff, record, revisions
 
 
 def git(folder, *arguments) -> None:
@@ -74,3 +77,47 @@ def test_what_is_not_under_version_control_is_told(tmp_path, capsys, monkeypatch
     assert main(["golden", "diff", "--golden", str(tmp_path / "golden")]) == 2
     assert "under version control" in capsys.readouterr().err
     assert main(["golden", "diff", "--golden", str(tmp_path / "none")]) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names of files are text")
+def test_names_that_are_no_text(repository):
+    golden = repository / "golden"
+    recorded = os.fsencode(golden / "recorded")
+    shutil.copytree(recorded + b"/m", recorded + b"/\xff\n::error::")
+    told = "\\udcff\\n::error::/d: there "
+    assert list(golden_diff(golden, "HEAD")) == [f"{told}was none in HEAD"]
+    git(repository, "add", ".")
+    git(repository, "commit", "-qm", "two")
+    assert list(golden_diff(golden, "HEAD")) == []
+    shutil.rmtree(recorded + b"/\xff\n::error::")
+    assert list(golden_diff(golden, "HEAD")) == [f"{told}is none any more"]
+
+
+def test_what_is_no_table_is_not_missed(repository):
+    for name in ("x", "m/x", "m/d/more/run.toml", "m/e/notes.txt"):
+        path = repository / "golden" / "recorded" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+    git(repository, "add", ".")
+    git(repository, "commit", "-qm", "two")
+    assert list(golden_diff(repository / "golden", "HEAD")) == []
+
+
+DAMAGE = {
+    "large": (b"#" * 5000, r"facts\.csv: 5000 bytes, at most 4096 are read"),
+    "no text": (b"\xff", r"facts\.csv, line 1: not text in UTF-8"),
+    "no table": (b"a,b\n", r"facts\.csv: expected category"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_table_of_a_revision_is_named(repository, damage, monkeypatch):
+    content, words = DAMAGE[damage]
+    path = repository / "golden/recorded/m/d/facts.csv"
+    sound = path.read_bytes()
+    path.write_bytes(content)
+    git(repository, "commit", "-qam", "two")
+    path.write_bytes(sound)
+    monkeypatch.setattr(revisions, "LARGEST", 4096)
+    with pytest.raises(GoldenError, match=f"HEAD:recorded/m/d: {words}"):
+        list(golden_diff(repository / "golden", "HEAD"))
