@@ -10,6 +10,7 @@ from pathlib import Path
 from string import Template
 
 from pytest_cpas.registry import registered
+from pytest_cpas.types import ToldError
 
 _TEMPLATES = {
     "{module}.py": "method.py.template",
@@ -18,7 +19,7 @@ _TEMPLATES = {
 }
 
 
-class NewAdapterError(Exception):
+class NewAdapterError(ToldError):
     """A name that cannot be used, or files that are in the way."""
 
 

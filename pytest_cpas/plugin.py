@@ -325,7 +325,7 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     if not config.option.cpas_list:
         return None
     from pytest_cpas.listing import listing
-    from pytest_cpas.reading.text import say
+    from pytest_cpas.reading.text import say, terminal_lines
     from pytest_cpas.session.protocol_names import known_protocols
     from pytest_cpas.types import ContractError
 
@@ -333,7 +333,7 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
     try:
         protocols = known_protocols(config.rootpath)
     except ContractError as error:
-        raise pytest.UsageError(str(error)) from error
+        raise pytest.UsageError(terminal_lines(str(error))) from error
     for line in listing(config.invocation_params.dir / weights if weights else None, protocols):
         say(line)
     return 0

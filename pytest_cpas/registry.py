@@ -10,6 +10,9 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pytest_cpas.types import ContractError, ToldError, as_dataset, message_of, words_of
+from pytest_cpas.types.datasets import remember_maker
+
 if TYPE_CHECKING:
     from pytest_cpas.types import Dataset
 
@@ -31,7 +34,7 @@ _OWN: dict[Kind, str] = {
 }
 
 
-class RegistryError(Exception):
+class RegistryError(ToldError):
     """A name that cannot be turned into what it names."""
 
 
@@ -84,12 +87,6 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
     own, :class:`pytest_cpas.types.DataError` for what is no data set, and the data set's own
     :class:`pytest_cpas.types.ContractError` and :class:`OSError`.
     """
-    from pytest_cpas.types import (  # numpy, which the plugin starts without
-        ContractError,
-        as_dataset,
-    )
-    from pytest_cpas.types.datasets import remember_maker
-
     make = resolve("dataset", name)
     if not callable(make):
         raise RegistryError(
@@ -100,21 +97,20 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
         lacks = ", ".join(sorted(make.__abstractmethods__))
         raise RegistryError(f"data set {name!r}: the class {make.__name__} has no {lacks}")
     try:
-        made = make(data_dir)
+        dataset = as_dataset(make(data_dir), name)
     except (ContractError, OSError, ImportError, KeyboardInterrupt):
         raise
     except BaseException as error:
         if not isinstance(error, Exception):  # no way out of a verdict either
-            kind = type(error).__name__
+            told = f"{type(error).__name__}({message_of(error)})"
             raise RegistryError(
-                f"data set {name!r}: {kind}({error}) was raised while it was made; what cannot be"
+                f"data set {name!r}: {told} was raised while it was made; what cannot be"
                 " opened raises pytest_cpas.DataError that says why"
             ) from error
         folder = "no folder was given with --cpas-data" if data_dir is None else f"in {data_dir}"
         raise RegistryError(
-            f"data set {name!r} cannot be opened, {folder} ({type(error).__name__}: {error})"
+            f"data set {name!r} cannot be opened, {folder} ({words_of(error)})"
         ) from error
-    dataset = as_dataset(made, name)
     remember_maker(dataset, make)
     return dataset
 
@@ -131,5 +127,5 @@ def _load(kind: Kind, name: str, module: str, attribute: str, blame: str) -> Any
     except BaseException as error:  # importing foreign code can raise anything, and exit or skip
         raise RegistryError(
             f"{KINDS[kind]} {name!r}{blame}: {module}:{attribute} cannot be imported"
-            f" ({type(error).__name__}: {error})"
+            f" ({words_of(error)})"
         ) from error

@@ -87,7 +87,7 @@ ARROWS: Mapping[str, set[str]] = {
     },
     "suite": {"session", "timing", "checks", "evaluation", "types"},
     "listing": {"protocols", "registry", "types"},
-    "new_adapter": {"registry"},
+    "new_adapter": {"registry", "types"},
     "plugin": {"session", "listing", "golden", "reading", "types"},
     "cli": {
         "golden",

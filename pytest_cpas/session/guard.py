@@ -149,9 +149,13 @@ class Guard:
         return (yield)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_internalerror(self) -> Generator[None, object, object]:
-        """Capturing ends here as well."""
+    def pytest_internalerror(self, excrepr: object) -> Generator[None, object, object]:
+        """Capturing ends here as well; what an error says that nobody caught is text from outside,
+        however early it comes."""
         self._end_of_capturing()
+        from pytest_cpas.session.shown import shown_parts
+
+        shown_parts(excrepr)
         return (yield)
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -112,7 +112,7 @@ class MetricsSession(SuiteSession):
             return
         try:
             count, path = record(name, (cell.result for cell in cells.values()))
-        except ContractError as error:
+        except (ContractError, OSError) as error:
             terminal.write_line(f"NOT RECORDED: {error}", red=True)
             return
         terminal.write_line(f"recorded {count} violations of {name} in {path}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from pytest_cpas import registry
 from pytest_cpas.datasets.perturbed import perturbed
@@ -31,6 +32,7 @@ from pytest_cpas.types import (
     Method,
     MethodInfo,
     assets_of,
+    words_of,
 )
 
 __all__ = ["make_method", "open_results", "read_others", "resolve_runs"]
@@ -75,19 +77,29 @@ def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
     :class:`FileNotFoundError` for assets that are not below ``weights``.
     """
     factory = registry.resolve("method", name)
-    info = getattr(factory, "info", None)
+    info = _asked(name, "info", lambda: getattr(factory, "info", None))
     if not isinstance(info, MethodInfo):
         raise DeclarationError(
             f"method {name!r}: {factory!r} has no attribute info of type MethodInfo; a method is a"
             " class with info, load(assets, device) and predict(batch, seed)"
         )
-    for asset in assets_of(factory, weights):
+    for asset in _asked(name, "assets", lambda: assets_of(factory, weights)):
         try:
             asset.locate(weights)
         except FileNotFoundError as error:
             raise FileNotFoundError(f"{info.name} needs {error}") from None
     make: Callable[[], Method] = factory
     return make
+
+
+def _asked(name: str, part: str, ask: Callable[[], Any]) -> Any:
+    """What a method's class says of itself, which may be code of its own."""
+    try:
+        return ask()
+    except (ContractError, OSError):
+        raise
+    except Exception as error:
+        raise DeclarationError(f"method {name!r}: its {part} raises {words_of(error)}") from error
 
 
 def _made(name: str, factory: Callable[[], Method]) -> Method:
@@ -98,7 +110,7 @@ def _made(name: str, factory: Callable[[], Method]) -> Method:
         raise
     except BaseException as error:
         raise registry.RegistryError(
-            f"method {name!r} cannot be made ({type(error).__name__}: {error})"
+            f"method {name!r} cannot be made ({words_of(error)})"
         ) from error
 
 

@@ -16,6 +16,7 @@ import pytest
 from pytest_cpas.reading.text import encodable, everywhere, terminal_line, terminal_lines
 from pytest_cpas.session.guard import only_shows
 from pytest_cpas.session.options import Granularity
+from pytest_cpas.session.shown import shown_parts
 from pytest_cpas.types import ItemOutcome, SampleRef
 
 #: Where an item keeps the exception by which it ends, of its own accord, though it did not pass.
@@ -122,14 +123,16 @@ class SuiteSession(ABC):
     def pytest_warning_recorded(
         self, warning_message: warnings.WarningMessage, nodeid: str
     ) -> None:
-        """What a method warns of is text from outside; its category is not needed any more."""
+        """What a method warns of is text from outside, and so is where it says that it did; its
+        category is not needed any more."""
         if nodeid.partition("::")[0] == self.node:
             warning_message.message = terminal_lines(str(warning_message.message))
+            warning_message.filename = terminal_line(str(warning_message.filename))
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_internalerror(self, excrepr: object) -> None:
         """So is what an error says that nobody caught."""
-        _shown(excrepr)
+        shown_parts(excrepr)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """On the controller: collect."""
@@ -160,23 +163,11 @@ def shown_report(report: pytest.TestReport) -> pytest.TestReport:
 
     Exceptions, reasons and what was printed come from methods and files.
     """
-    report.longrepr = _shown(report.longrepr)
-    report.sections = _shown(report.sections)
+    report.longrepr = shown_parts(report.longrepr)
+    report.sections = shown_parts(report.sections)
     if hasattr(report, "wasxfail"):
         report.wasxfail = terminal_lines(report.wasxfail)
     return report
-
-
-def _shown(value: Any) -> Any:
-    """A representation of pytest's with every text in it escaped; trees of them are changed."""
-    if isinstance(value, str):
-        return terminal_lines(value)
-    if isinstance(value, list | tuple):
-        return type(value)(map(_shown, value))
-    if hasattr(value, "toterminal"):
-        for name, part in vars(value).items():
-            setattr(value, name, _shown(part))
-    return value
 
 
 def grouped(

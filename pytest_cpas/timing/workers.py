@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas.timing import contestant
+from pytest_cpas.types import ToldError
 
 
-class TimingError(Exception):
+class TimingError(ToldError):
     """Something cannot be timed: a worker died, a method raised, a revision is not there."""
 
 

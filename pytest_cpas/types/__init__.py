@@ -22,9 +22,11 @@ from pytest_cpas.types.errors import (
     DataError,
     DeclarationError,
     ToldError,
+    message_of,
     raised_as,
     shortened,
     shown,
+    words_of,
 )
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
 from pytest_cpas.types.samples import (
@@ -66,7 +68,9 @@ __all__ = [
     "WrappedDataset",
     "as_dataset",
     "assets_of",
+    "message_of",
     "raised_as",
     "shortened",
     "shown",
+    "words_of",
 ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pytest_cpas.types._arrays import Array, checked_extents, checked_number, frozen_array
-from pytest_cpas.types.errors import AnswerError, raised_as
+from pytest_cpas.types.errors import AnswerError, raised_as, shortened, words_of
 from pytest_cpas.types.geometry import Mesh, Pose
 
 __all__ = ["Hypothesis", "Prediction"]
@@ -86,6 +86,8 @@ class Prediction:
             raise AnswerError(
                 f"prediction: reason is a {type(self.reason).__name__}, expected text"
             )
+        if self.reason:
+            object.__setattr__(self, "reason", shortened(self.reason))
         if not self.hypotheses and not self.reason:
             raise AnswerError(
                 "prediction: no hypothesis and no reason; say why with Prediction.failed('...')"
@@ -95,6 +97,5 @@ class Prediction:
     def failed(cls, reason: str | BaseException) -> Prediction:
         """No answer, and why: in words, or the exception that was raised."""
         if isinstance(reason, BaseException):
-            words = str(reason)
-            reason = f"{type(reason).__name__}: {words}" if words else type(reason).__name__
+            reason = words_of(reason)
         return cls((), reason=reason)

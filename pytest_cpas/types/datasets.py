@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas._deprecation import deprecated
 from pytest_cpas.types._arrays import Array
-from pytest_cpas.types.errors import DataError
+from pytest_cpas.types.errors import DataError, shown
 from pytest_cpas.types.geometry import Camera
 from pytest_cpas.types.samples import CATEGORIES, GroundTruth, Sample, SampleRef
 
@@ -171,6 +171,7 @@ def as_dataset(made: Any, called: str = "") -> Dataset:
             f"data set {called or kind.__name__!r} has the name {STORED!r}, which stands for the"
             " data set of stored predictions; give it another name"
         )
+    _check_parts(made, called or kind.__name__)
     if isinstance(made, Dataset):
         return made
     deprecated(
@@ -184,6 +185,29 @@ def as_dataset(made: Any, called: str = "") -> Dataset:
     adapted = type(kind.__name__, (_Adapted,), {"__module__": kind.__module__})
     dataset: Dataset = adapted(made)
     return dataset
+
+
+def _check_parts(made: Any, called: str) -> None:
+    """Raise :class:`DataError` for a part of a data set that is not of its kind."""
+    for part in ("name", "digest"):
+        if not isinstance(seen := getattr(made, part), str):
+            raise DataError(f"data set {called!r}: {part} is {shown(seen)}, expected a text")
+    kinds = {
+        "samples": (SampleRef, "SampleRef"),
+        "missing": (str, "texts"),
+        "damaged": (str, "texts"),
+    }
+    for part, (kind, expected) in kinds.items():
+        seen = getattr(made, part)
+        if isinstance(seen, str) or not isinstance(seen, Sequence):
+            raise DataError(
+                f"data set {called!r}: {part} is {shown(seen)}, expected a sequence of {expected}"
+            )
+        for each in seen:
+            if not isinstance(each, kind):
+                raise DataError(
+                    f"data set {called!r}: {part} has {shown(each)}, expected {expected}"
+                )
 
 
 class _Adapted(WrappedDataset):

@@ -13,17 +13,20 @@ __all__ = [
     "DataError",
     "DeclarationError",
     "ToldError",
+    "message_of",
     "raised_as",
     "shortened",
     "shown",
+    "words_of",
 ]
 
 #: Characters of a message. It may quote what others wrote, and that may be of any length.
 LONGEST_MESSAGE = 2000
 
 
-def shortened(text: str, most: int) -> str:
-    """``text``, or its beginning and end, in ``most`` characters; at least 30."""
+def shortened(text: str, most: int = LONGEST_MESSAGE) -> str:
+    """``text``, or its beginning and end, in ``most`` characters (those of a message); at least
+    30."""
     if len(text) <= most:
         return text
     left_out = f" ... [{len(text)} characters] ... "
@@ -45,14 +48,26 @@ def shown(value: object) -> str:
     return shortened(re.sub(r"\s*\n\s*", " ", seen), _LONGEST_QUOTED)
 
 
+def words_of(error: BaseException) -> str:
+    """What was raised, as a message quotes it: its kind, and its message or both ends of it."""
+    kind, words = type(error).__name__, message_of(error)
+    return shortened(f"{kind}: {words}" if words else kind, LONGEST_MESSAGE // 2)
+
+
+def message_of(error: BaseException) -> str:
+    """The message alone. Whoever wrote the error's class may have it raise another one here."""
+    try:
+        return str(error)
+    except Exception as other:
+        return f"its message cannot be told, for that raises {type(other).__name__}"
+
+
 class ToldError(Exception):
     """An error whose message is for people: of one that is longer than they read, both ends."""
 
     def __init__(self, *told: object) -> None:
         """``told``: the message, of at most :data:`LONGEST_MESSAGE` characters as it is kept."""
-        super().__init__(
-            *(shortened(part, LONGEST_MESSAGE) if isinstance(part, str) else part for part in told)
-        )
+        super().__init__(*(shortened(part) if isinstance(part, str) else part for part in told))
 
 
 class ContractError(ToldError, ValueError):

@@ -30,6 +30,7 @@ FIELDS = {
     "IN-REPR": True,
     "IN-NOTE": True,
     "IN-WARNING": True,
+    "IN-FILENAME": True,
     "IN-OUTPUT": True,
     "IN-KNOWN": True,
 }
@@ -98,6 +99,7 @@ class Method(Perfect):
             raise error
         if index == 10:
             warnings.warn(said("IN-WARNING"))
+            warnings.warn_explicit("x", UserWarning, said("IN-FILENAME"), 3)
         return super().answer(index)
 """
 
@@ -186,6 +188,82 @@ def test_usage_errors(pytester):
     told = result.stderr.str()
     harmless_in_a_terminal(told)
     assert "IN-OPENING" in told
+
+
+BROKEN = """
+from tiny import Tiny, Perfect
+
+class Mute(Exception):
+    def __str__(self):
+        raise RuntimeError("\\x1b[31m\\n::error::IN-MUTE")
+
+class Asking(type):
+    def __getattr__(cls, name):
+        raise RuntimeError("\\x1b[31m\\n::error::IN-ASKING")
+
+class Made(Perfect):
+    def __init__(self):
+        raise Mute
+
+class Asked(Perfect, metaclass=Asking):
+    pass
+
+class Infoless(metaclass=Asking):
+    pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("Made", "cannot be made (Mute: its message cannot be told, for that raises RuntimeError)"),
+        ("Asked", "its assets raises RuntimeError"),
+        ("Infoless", "its info raises RuntimeError"),
+    ],
+)
+def test_class_that_raises_whatever_is_asked_is_a_usage_error(cpas, pytester, method, words):
+    pytester.makepyfile(broken=BROKEN)
+    names = (f"--cpas-method=broken:{method}", "--cpas-dataset=tiny:Tiny")
+    result = pytester.runpytest_inprocess(*RUN, *names)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    harmless_in_a_terminal(result.stderr.str())
+    assert f"method 'broken:{method}'" in result.stderr.str()
+    assert words in result.stderr.str()
+
+
+@pytest.mark.parametrize("plugin", ["terminal", "no:terminalreporter"])
+def test_error_that_nobody_caught_before_there_is_a_session(pytester, plugin):
+    """It is told as text, whoever raised it."""
+    pytester.makeconftest("""
+        import pytest
+
+        @pytest.hookimpl(tryfirst=True)
+        def pytest_configure(config):
+            raise RuntimeError("\\x1b[31m\\n::error::IN-CONFTEST")
+    """)
+    names = ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny")
+    result = pytester.runpytest_inprocess(*RUN, *names, "-p", plugin)
+    told = result.stdout.str() + result.stderr.str()
+    harmless_in_a_terminal(told)
+    assert "IN-CONFTEST" in told
+
+
+PROTOCOL = '[tool.pytest-cpas.protocols."\\u001b[31m\\n::error::IN-PROTOCOL"]\nversion = 1\n'
+
+
+def test_list_of_protocols_of_which_one_is_wrong(pytester):
+    pytester.makepyprojecttoml("[tool.pytest.ini_options]\n" + PROTOCOL)
+    result = pytester.runpytest_inprocess(*RUN, "--cpas-list")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    harmless_in_a_terminal(result.stderr.str())
+    assert "IN-PROTOCOL" in result.stderr.str()
+
+
+def test_golden_folder_that_has_no_name(pytester, cpas):
+    pytester.makepyprojecttoml('[tool.pytest.ini_options]\ncpas_golden = "a\\u0000b"\n')
+    result = cpas("Perfect")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*cpas_golden is 'a*x00b', expected a folder; no name has a NUL"])
 
 
 def test_a_name_on_the_command_line(pytester, capsys):

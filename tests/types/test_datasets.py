@@ -57,6 +57,51 @@ def test_load_is_what_a_data_set_cannot_go_without(monkeypatch):
         registry.open_dataset("tiny:Half", None)
 
 
+class Reference:
+    id, category, scene = "a", "mug", "s"
+
+
+class Unsaid:
+    """Like a data set that raises when it is asked."""
+
+    name, digest, missing, damaged = "unsaid", "0", (), ()
+
+    def __init__(self, data_dir):
+        pass
+
+    @property
+    def samples(self):
+        raise RuntimeError("no disk")
+
+    def load(self, ref):
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "words"),
+    [
+        ("name", 5, "name is 5, expected a text"),
+        ("digest", b"00", "digest is b'00', expected a text"),
+        ("samples", None, "samples is None, expected a sequence of SampleRef"),
+        ("samples", [Reference()], "samples has .*Reference object.*, expected SampleRef"),
+        ("missing", "all of it", "missing is 'all of it', expected a sequence of texts"),
+        ("damaged", [ValueError("x")], r"damaged has ValueError\('x'\), expected texts"),
+        ("damaged", {"a": 1}, "damaged is {'a': 1}, expected a sequence of texts"),
+    ],
+)
+def test_part_that_is_not_of_its_kind_is_told(part, value, words):
+    data = Tiny(None)
+    setattr(data, part, value)
+    with pytest.raises(DataError, match=f"data set 'Tiny': {words}"):
+        as_dataset(data)
+
+
+def test_data_set_that_raises_when_it_is_asked(monkeypatch):
+    monkeypatch.setattr(tiny, "Unsaid", Unsaid, raising=False)
+    with pytest.raises(registry.RegistryError, match=r"tiny:Unsaid.*\(RuntimeError: no disk\)"):
+        registry.open_dataset("tiny:Unsaid", None)
+
+
 # -- wrappers -----------------------------------------------------------------------------------
 
 

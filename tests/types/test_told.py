@@ -8,16 +8,20 @@ from pytest_cpas.evaluation import ResultsError, SampleError
 from pytest_cpas.evaluation.method_runs import MethodError
 from pytest_cpas.fetching import FetchError
 from pytest_cpas.golden import GoldenError
+from pytest_cpas.new_adapter import NewAdapterError
 from pytest_cpas.reading.archives import ArchiveError
 from pytest_cpas.reading.files import NoFileError
+from pytest_cpas.registry import RegistryError
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.timing.records import RecordError
-from pytest_cpas.types import AnswerError, ContractError, DataError, shortened, shown
-from pytest_cpas.types.errors import LONGEST_MESSAGE
+from pytest_cpas.timing.workers import TimingError
+from pytest_cpas.types import AnswerError, ContractError, DataError, Prediction, shortened, shown
+from pytest_cpas.types.errors import LONGEST_MESSAGE, message_of, words_of
 
 ERRORS = (
     ContractError, DataError, AnswerError, NoFileError, ArchiveError, FetchError, GoldenError,
-    MethodError, RecordError, ResultsError, SampleError, StoredReportError,
+    MethodError, NewAdapterError, RecordError, RegistryError, ResultsError, SampleError,
+    StoredReportError, TimingError,
 )  # fmt: skip
 
 
@@ -66,3 +70,26 @@ def test_any_value_is_shown_in_a_short_line(kind):
 def test_shortened_is_as_long_as_it_may_be(length):
     assert shortened("x" * length, length) == "x" * length
     assert len(shortened("ab" * length, length)) == length
+
+
+class Mute(Exception):
+    def __str__(self):
+        raise RuntimeError("not even this")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (ValueError("too few"), "ValueError: too few"),
+        (ValueError(), "ValueError"),
+        (Mute(), "Mute: its message cannot be told, for that raises RuntimeError"),
+    ],
+)
+def test_words_of_any_error(error, words):
+    assert words_of(error) == Prediction.failed(error).reason == words
+    assert words.endswith(message_of(error))
+
+
+def test_words_and_reasons_are_short():
+    assert len(words_of(ValueError("x" * 10**6))) == LONGEST_MESSAGE // 2
+    assert len(Prediction.failed("x" * 10**6).reason) == LONGEST_MESSAGE
