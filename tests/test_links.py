@@ -8,6 +8,8 @@ import pytest
 from tables import CPAS, GOLDEN, a_run, rows, table
 
 from pytest_cpas._files import check_no_link
+from pytest_cpas.checks.known import KnownFailure, record_known
+from pytest_cpas.evaluation.bop_export import export_bop
 from pytest_cpas.evaluation.results import Shard
 from pytest_cpas.evaluation.results_file import ResultsFile
 from pytest_cpas.golden import GoldenError, find_golden, read_golden, record
@@ -37,8 +39,26 @@ def speed(folder: Path) -> None:
     write_record(folder, path, made)
 
 
+def known(folder: Path) -> None:
+    cell = KnownFailure(check="box_iou.touching", reason="seen", case="{}")
+    record_known(folder, "mine", [cell])
+
+
+def bop(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    data = folder.with_name(f"{folder.name}-bop")
+    for part in ("test/000001", "models_eval"):
+        (data / part).mkdir(parents=True, exist_ok=True)
+    (data / "models_eval/models_info.json").write_text("{}")
+    run = a_run()
+    run.dataset = "bop-mine"
+    with (file := ResultsFile(data, run, Shard(1, 1))):
+        pass
+    export_bop(file.path, data, folder / "mine.csv")
+
+
 WRITERS: dict[str, Callable[[Path], None]] = {
-    writer.__name__: writer for writer in (golden, results, report, speed)
+    writer.__name__: writer for writer in (golden, results, report, speed, known, bop)
 }
 
 

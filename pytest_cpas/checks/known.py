@@ -204,7 +204,7 @@ def record_known(folder: Path, name: str, recorded: Sequence[KnownFailure]) -> P
                 for key in ("check", "outcome", "reason", "case", "snippet")
             ]
             parts += ["[[metric]]", *lines[:-1], f"{lines[-1]}\n"]
-        write_file(path, "\n".join(parts))
+        write_file(path, "\n".join(parts), below=path.parent)
     else:
         path.unlink(missing_ok=True)
     (folder / _OLD_FILES["metric"].format(name)).unlink(missing_ok=True)

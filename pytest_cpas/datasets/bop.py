@@ -46,6 +46,7 @@ from pytest_cpas.types import (
     Pose,
     SampleRef,
     Symmetry,
+    shortened,
 )
 from pytest_cpas.types._arrays import checked_integer, checked_number
 
@@ -109,7 +110,7 @@ class Bop(RecordTree):
             keys = ("scene_id", "im_id", "obj_id")
             found = {tuple(_number(target[key], key) for key in keys) for target in listed}
             return {(scene, image, number) for scene, image, number in found}
-        except (TypeError, KeyError, ContractError) as error:
+        except (TypeError, KeyError) as error:
             raise DataError(
                 f"{self.root / file}: expected a list of scene_id, im_id and obj_id ({error!r})"
             ) from error
@@ -225,7 +226,7 @@ def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:
                 raise DataError(f"number {number} is there twice")
             models[number] = _model(info)
         except ContractError as error:
-            damaged.append(f"{path}: object {key}: {error}")
+            damaged.append(f"{path}: object {shortened(key, 30)}: {error}")
     return models, damaged
 
 

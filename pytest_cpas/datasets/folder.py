@@ -20,7 +20,15 @@ from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers, quaternion_rotation, whole
 from pytest_cpas.reading.paths import below
 from pytest_cpas.reading.tables import by_column, csv_table
-from pytest_cpas.types import Camera, ContractError, DataError, Mesh, SampleRef, Symmetry
+from pytest_cpas.types import (
+    Camera,
+    ContractError,
+    DataError,
+    Mesh,
+    SampleRef,
+    Symmetry,
+    shortened,
+)
 
 _TABLE = "samples.csv"
 
@@ -65,8 +73,8 @@ class Folder(RecordTree):
         if absent or unknown:
             raise DataError(
                 f"{path}: columns lacking: {', '.join(absent) or 'none'}; unknown:"
-                f" {', '.join(unknown) or 'none'}. Expected {', '.join(_REQUIRED)} and, where"
-                f" wanted, {', '.join(_OPTIONAL)}, separated by commas"
+                f" {shortened(', '.join(unknown), 100) or 'none'}. Expected {', '.join(_REQUIRED)}"
+                f" and, where wanted, {', '.join(_OPTIONAL)}, separated by commas"
             )
         ids: set[str] = set()
         meshes: set[str] = set()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 
@@ -76,6 +77,7 @@ def ply_mesh(content: bytes) -> tuple[Array, Indices]:
         raise DataError(
             f"its elements are {', '.join(lengths) or 'none'}, expected vertex and face"
         )
+    _check_kinds(elements)
     read = _ply_text if order == "" else _ply_bytes
     columns = read(body, order, elements)
     try:
@@ -87,6 +89,20 @@ def ply_mesh(content: bytes) -> tuple[Array, Indices]:
         raise DataError(f"a face has no list called {' or '.join(_CORNERS)}, or both")
     values, starts, sizes = columns["face", named[0]]
     return places, polygon_triangles(values, starts, sizes, len(places))
+
+
+def _check_kinds(elements: Sequence[_Element]) -> None:
+    """Raise :class:`DataError` for corners that are no list of whole numbers, and for x, y or z
+    that is a list."""
+    for element in elements:
+        for part in element.properties:
+            name = f"{part.name} of a {element.name}"
+            if element.name == "face" and part.name in _CORNERS and not part.length:
+                raise DataError(f"{name} is one number, expected a list")
+            if element.name == "face" and part.name in _CORNERS and part.kind[0] == "f":
+                raise DataError(f"{name} is a list of floats, expected whole numbers such as int")
+            if (element.name, part.name) in _AXES and part.length:
+                raise DataError(f"{name} is a list, expected one number")
 
 
 #: Of a property its values, one after the other; of a list also where each row's begin, and how
@@ -204,7 +220,9 @@ def _ply_bytes(body: bytes, order: str, elements: list[_Element]) -> _Columns:
     return columns
 
 
-_WANTED = {("vertex", axis) for axis in "xyz"} | {("face", name) for name in _CORNERS}
+_AXES = {("vertex", axis) for axis in "xyz"}
+
+_WANTED = _AXES | {("face", name) for name in _CORNERS}
 
 
 def _equal_rows(body: bytes, at: int, order: str, element: _Element) -> NDArray[np.void] | None:

@@ -1,8 +1,9 @@
 """What a session found, as one plain, versioned document: the only source of every renderer.
 
-A document is a dict of JSON values, as of :mod:`pytest_cpas.documents`. It holds no path,
-and a time only below ``speed``, where --cpas-benchmark asked for it: the same rows give the same
-document, wherever and in how many parts they were judged.
+A document is a dict of JSON values, as of :mod:`pytest_cpas.documents`. It holds a time
+only below ``speed``, where --cpas-benchmark asked for it, and a path only where a verdict names the
+folder of a golden table: the same rows give the same document otherwise, wherever and in how many
+parts they were judged.
 """
 
 from __future__ import annotations

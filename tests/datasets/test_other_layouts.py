@@ -374,6 +374,18 @@ def test_glass_is_symmetric(tmp_path: Path) -> None:
     assert data.truth(data.samples[0]).symmetry.axis is None
 
 
+def test_pickles_may_hold_more_than_is_read(tmp_path: Path) -> None:
+    """Of any kind of value that pickles are read for."""
+    more = {"bbox": np.ones((3, 4)), "notes": ["a", b"b", {1, 2}, None, 1j], "deep": {"er": [{}]}}
+    for write, load, file in ((write_housecat6d, HouseCat6D, LABEL), (write_wild6d, Wild6D, PKL)):
+        write(tmp_path)
+        path = tmp_path / file
+        path.write_bytes(pickle.dumps(pickle.loads(path.read_bytes()) | more))
+        data = load(tmp_path)
+        assert (len(data.samples), data.damaged) == (4, [])
+        data.load(data.samples[0])
+
+
 def test_missing_meshes_are_named_once(tmp_path: Path) -> None:
     write_housecat6d(tmp_path)
     (tmp_path / "obj_models_small_size_final/cup/cup-red.obj").unlink()

@@ -133,7 +133,7 @@ def leaf(content: bytes, dice: random.Random) -> bytes:
     """Another value at a place of a JSON text, at any level; it stays JSON, but for infinity."""
     try:
         value = json.loads(content)
-    except ValueError:  # damaged before
+    except (ValueError, RecursionError):  # damaged before
         return content
     place, key = None, None
     here = value
@@ -717,6 +717,10 @@ def peak_memory() -> int:
     return int(kibibytes) * 1024
 
 
+#: Most seconds that a case took in this process, and most bytes by which its memory grew.
+worst: list[float] = [0.0, 0]
+
+
 def complaint(name: str, path: Path, errors: tuple[type[Exception], ...]) -> str:
     """What is wrong with how a reader takes a file; "" if nothing is."""
     Path("/proc/self/clear_refs").write_text("5")  # the peak is that of this case
@@ -737,6 +741,7 @@ def complaint(name: str, path: Path, errors: tuple[type[Exception], ...]) -> str
         return traceback.format_exc()
     seconds = time.process_time() - start  # others may be busy
     grown = peak_memory() - before
+    worst[:] = max(worst[0], seconds), max(worst[1], grown)
     slow = f"{seconds:.2f} s ({told[:100]})" if seconds > SECONDS else ""
     large = f"{grown / 2**20:.0f} MiB more memory" if grown > MEMORY else ""
     return " ".join(filter(None, (slow, large)))
@@ -763,11 +768,13 @@ def work(name: str, first: int, count: int, folder: Path) -> None:
         path.unlink()
         if wrong:
             print(json.dumps({"wrong": wrong, "number": number}), flush=True)
+    print(json.dumps({"worst": worst}), flush=True)
 
 
 def fuzz(name: str, first: int, count: int) -> list[str]:
-    """Complaints about ``count`` cases of a reader, in a process of their own."""
+    """Complaints about ``count`` cases of a reader, in a process of their own; ``worst`` is its."""
     found = []
+    worst[:] = 0.0, 0
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, __file__, "work", name, str(first), str(count), folder]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60 + 2 * count)
@@ -775,6 +782,7 @@ def fuzz(name: str, first: int, count: int) -> list[str]:
     for line in done.stdout.splitlines():
         value = json.loads(line)
         begun = value.get("begun", begun)
+        worst[:] = value.get("worst", worst)
         if "wrong" in value:
             found.append(f"{name}, case {value['number']}: {value['wrong']}")
     if done.returncode:
@@ -832,7 +840,8 @@ def main(arguments: list[str]) -> int:
         found = fuzz(name, seed * 1_000_000, each)
         wrong += found
         print(
-            f"{name}: {each} cases, {len(found)} wrong, {time.perf_counter() - start:.1f} s",
+            f"{name}: {each} cases, {len(found)} wrong, {time.perf_counter() - start:.1f} s;"
+            f" the worst took {worst[0]:.3f} s and {worst[1] / 2**20:.1f} MiB",
             flush=True,
         )
         print("\n".join(found[:5]))

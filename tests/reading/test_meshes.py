@@ -197,6 +197,22 @@ WRONG = {
         SOUND["ply"].replace(b"comment", b"comment " + b"x" * 70_000),
         "no end_header in its first 65536 bytes",
     ),
+    "floats.ply": (
+        SOUND["ply"].replace(b"uchar int vertex", b"uchar float vertex"),
+        "vertex_index of a face is a list of floats, expected whole numbers",
+    ),
+    "floats in bytes.ply": (
+        binary_ply("<").replace(b"uchar int vertex", b"uchar float vertex"),
+        "is a list of floats, expected whole numbers",
+    ),
+    "corner.ply": (
+        SOUND["ply"].replace(b"list uchar int vertex", b"int vertex"),
+        "vertex_index of a face is one number, expected a list",
+    ),
+    "list of x.ply": (
+        SOUND["ply"].replace(b"property double x", b"property list uchar double x"),
+        "x of a vertex is a list, expected one number",
+    ),
     "line.ply": (SOUND["ply"].replace(b"element face", b"Element face"), "line 'Element face 7'"),
     "count.stl": (
         binary_stl()[:80] + b"\xff" * 4 + binary_stl()[84:],
