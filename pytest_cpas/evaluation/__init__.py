@@ -1,5 +1,6 @@
 """Method times data set gives rows, one per sample; rows give the table."""
 
+from pytest_cpas.datasets.perturbed import RobustnessPoint
 from pytest_cpas.evaluation.estimates import (
     Estimates,
     decode_estimates,
@@ -37,6 +38,7 @@ __all__ = [
     "Results",
     "ResultsError",
     "ResultsFile",
+    "RobustnessPoint",
     "Row",
     "Run",
     "SampleError",

@@ -12,7 +12,7 @@ from pathlib import Path
 import filelock
 
 from pytest_cpas._files import cache_folder, check_no_link, sync_folder
-from pytest_cpas.datasets.perturbed import RobustnessPoint
+from pytest_cpas.evaluation import RobustnessPoint
 from pytest_cpas.golden.noise import Noise
 from pytest_cpas.golden.older import OLDER_SAMPLES, OLDER_TABLE, parse_older
 from pytest_cpas.golden.points import (

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from pytest_cpas._files import toml_string
-from pytest_cpas.datasets.perturbed import RobustnessPoint
+from pytest_cpas.evaluation import RobustnessPoint
 from pytest_cpas.facts import in_order
 from pytest_cpas.golden.parsing import (
     Rows,
