@@ -14,7 +14,8 @@
 those of the meshes, are NOCS's; both are turned into the ShapeNet frame here. A tree may be
 partial: what is there is listed, what is missing is named once. Of a frame without images only the
 truth is known, by which stored predictions are judged. Where it has no meta file either, its
-ground truth must have ``gt_class_ids`` and ``gt_scales`` (n, 3), relative to the scale.
+ground truth must have ``gt_class_ids`` and ``gt_scales`` (n, 3), relative to the scale; it may have
+``gt_bboxes`` (n, 4), y1, x1, y2, x2 in pixels.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,9 @@ REAL_CAMERA = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
 SYMMETRIC_CATEGORIES = frozenset({"bottle", "bowl", "can"})
 
 _FRAME_FILE = re.compile(r"(\d+)_(?:color|depth|mask|coord|meta)\.")
+#: Coordinates of a 2-D box, pixels, are no larger.
+_LARGEST_PIXEL = 1e9
+
 _IMAGES = ("color", "depth", "mask", "coord")
 
 _TRUTH_FILE = re.compile(r"results_real_test_(scene_\d+)_(\d+)\.pkl")
@@ -178,7 +182,7 @@ class NocsTree(Tree):
         """The objects of a frame without a meta file, from its ground truth."""
         path = self.root / _truth_path(frame)
         self._scan_truth(scan, frame)
-        ids = self._read_truth(path).get("gt_class_ids")
+        ids = load_numpy_pickle(path).get("gt_class_ids")
         if (
             not isinstance(ids, np.ndarray)
             or ids.ndim != 1
@@ -301,18 +305,23 @@ class NocsTree(Tree):
         return self._read_depth(self.root / f"{self.frames}/{frame}_depth.png", self.camera)
 
     def box(self, ref: SampleRef) -> Array | None:
-        """The 2-D box of what is seen of an object: that of its mask."""
-        if ref.id in self.absent:
+        """The 2-D box of what is seen of an object: that of its mask, or of the ground truth."""
+        item, frame = Listed(*self._details[ref.id]), self.image(ref)
+        if ref.id not in self.absent:
+            return mask_box(self._ids(frame) == item.mask_id)
+        path = self.root / _truth_path(frame)
+        boxes = load_numpy_pickle(path).get("gt_bboxes")
+        if boxes is None:
             return None
-        frame = ref.id.rsplit("/", 1)[0]
-        return mask_box(self._ids(frame) == Listed(*self._details[ref.id]).mask_id)
-
-    def _read_truth(self, path: Path) -> dict[str, Any]:
-        return load_numpy_pickle(path)
+        boxes = finite_array(boxes, f"{path}: gt_bboxes", _LARGEST_PIXEL)
+        if boxes.shape != (item.poses, 4):
+            raise DataError(f"{path}: gt_bboxes has shape {boxes.shape}, expected (n, 4)")
+        box: Array = boxes[item.pose_index]
+        return box
 
     def _read_poses(self, path: Path) -> tuple[Array, Array | None]:
         """Poses (n, 4, 4), and extents (n, 3) in ShapeNet axes, metres, if they are there."""
-        truth = self._read_truth(path)
+        truth = load_numpy_pickle(path)
         poses, sizes = truth.get("gt_RTs"), truth.get("gt_scales")
         if (
             not isinstance(poses, np.ndarray)
@@ -367,7 +376,7 @@ class Real275(NocsTree):
         if scan.has(f"{stem}_meta.txt"):
             return True
         try:
-            return "gt_class_ids" in self._read_truth(self.root / truth)
+            return "gt_class_ids" in load_numpy_pickle(self.root / truth)
         except ContractError:
             return True  # which listing it will tell
 

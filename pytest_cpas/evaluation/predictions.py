@@ -21,6 +21,7 @@ from pytest_cpas.submissions import (
     Answers,
     OwnTruth,
     Pairing,
+    audit,
     failures,
     hypothesis,
     in_half_precision,
@@ -153,6 +154,10 @@ class StoredRun(Run):
     @property
     def notes(self) -> Sequence[str]:
         """What was noticed about the file, for people."""
+        return self._notes
+
+    @functools.cached_property
+    def _notes(self) -> Sequence[str]:
         counts = Counter(
             reason for ref in self.samples if (reason := self._answers(ref)[2]) is not None
         )
@@ -162,6 +167,10 @@ class StoredRun(Run):
                 "poses are stored in half precision: the nearest rotations are judged, and a"
                 " position 1 m away is off by up to 0.5 mm"
             )
+        try:
+            notes += audit(self._submission, self._pairing, self._dataset)
+        except ContractError as error:
+            notes.append(f"the file was not audited: {error}")
         if counts:
             kinds = ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
             notes.append(f"no answer for {counts.total()} of {len(self.samples)} samples: {kinds}")

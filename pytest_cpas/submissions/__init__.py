@@ -1,6 +1,7 @@
 """Files of predictions in the forms that the field writes, beside the truth that they answer."""
 
 from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
+from pytest_cpas.submissions.audit import audit
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
 from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.submissions.reading import read_submission
@@ -13,6 +14,7 @@ __all__ = [
     "Pairing",
     "Submission",
     "Truths",
+    "audit",
     "failures",
     "hypothesis",
     "in_half_precision",

@@ -235,7 +235,8 @@ def _class_ids(ids: NDArray[Any], where: str, classes: Sequence[str]) -> NDArray
     if len(ids) and not (ids.min() >= 1 and ids.max() <= len(classes)):
         raise DataError(
             f"{where}: class ids run from {ids.min()} to {ids.max()}, expected 1 to"
-            f" {len(classes)} ({', '.join(classes)})"
+            f" {len(classes)} ({', '.join(classes)}); are they counted from another number, or is"
+            " the file of a data set with other classes (--cpas-dataset NAME)?"
         )
     if ids.dtype.kind == "f" and (ids != np.floor(ids)).any():
         raise DataError(f"{where}: class ids such as {ids[ids != np.floor(ids)][0]}, not integers")

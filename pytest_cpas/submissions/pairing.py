@@ -9,6 +9,7 @@ best-scored answer of a sample is its answer.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.submissions.answers import order
-from pytest_cpas.submissions.frames import Submission
+from pytest_cpas.submissions.frames import Answers, Submission
 from pytest_cpas.submissions.truth import OwnTruth
 from pytest_cpas.types import Array, Camera, DataError, Dataset, GroundTruth, SampleRef
 
@@ -26,6 +27,9 @@ __all__ = ["Pairing", "assign"]
 
 #: A detection belongs to an object if their 2-D boxes overlap at least this much.
 DETECTION_IOU = 0.5
+
+#: A 2-D box of the file's own truth is believed where its position is the data set's, metres.
+_SAME = 0.01
 
 #: The file's own truth is that of a sample if their positions are no further apart, metres.
 _NEAR = 0.1
@@ -45,6 +49,15 @@ class Found(NamedTuple):
     own: Mapping[str, int]
 
 
+class _Objects(NamedTuple):
+    """What answers about an image are assigned by: its samples, which of them a row of the file's
+    own truth is about, and the 2-D boxes (n, 4), None where no answer has one."""
+
+    refs: Sequence[SampleRef]
+    linked: Mapping[int, int]
+    boxes: Array | None
+
+
 class Pairing:
     """A submission beside a data set. Each image is looked at when it is first asked for."""
 
@@ -62,6 +75,7 @@ class Pairing:
         #: The data set's name of an image, by its number in the submission.
         self.images = {number: image for image, number in self._numbers.items()}
         self._found: dict[int, Found] = {}
+        self._objects = functools.cache(self._look)
 
     def number(self, ref: SampleRef) -> int | None:
         """The number, in the submission, of the image that a sample is in; None if it lacks it."""
@@ -76,14 +90,55 @@ class Pairing:
             self._found[number] = self._find(number)
         return self._found[number]
 
+    def refs(self, number: int) -> Sequence[SampleRef]:
+        """The samples of an image of the submission."""
+        return self._refs[self.images[number]]
+
+    def rows(self, number: int, answers: Answers) -> list[list[int]]:
+        """Per sample of an image the rows of its answers, the best first, if these were those that
+        the submission has of it. Raises as :meth:`found`."""
+        refs, linked, boxes = self._objects(number)
+        rows = order(answers)
+        found: list[list[int]] = [[] for _ in refs]
+        if answers.samples is not None:
+            places = {ref.id: place for place, ref in enumerate(refs)}
+            for row in rows:
+                if answers.samples[row] in places:
+                    found[places[answers.samples[row]]].append(row)
+        elif answers.truths is not None:
+            for row in rows:
+                if answers.truths[row] in linked:
+                    found[linked[int(answers.truths[row])]].append(row)
+        elif answers.boxes is not None and boxes is not None:
+            names = [self._submission.category(i) for i in answers.class_ids[rows].tolist()]
+            same = np.array([[ref.category == name for name in names] for ref in refs], dtype=bool)
+            assigned = assign(boxes, answers.boxes[rows], same.reshape(len(refs), len(rows)))
+            found = [[rows[place] for place in places] for places in assigned]
+        else:
+            raise DataError(
+                f"{self._submission.path}: its answers have neither the name of a sample nor a 2-D"
+                " box, so that which object they are about cannot be told"
+            )
+        if answers.scores is not None:
+            scores = answers.scores.tolist()
+            for each in found:
+                each.sort(key=lambda row: -scores[row])
+        return found
+
     def _find(self, number: int) -> Found:
-        refs = self._refs[self.images[number]]
-        linked = _linked(self._submission, number, self._dataset, refs)
-        rows = _rows(self._submission, number, self._dataset, refs, linked)
+        refs, linked, _ = self._objects(number)
+        rows = self.rows(number, self._submission.images[number].answers)
         return Found(
             {ref.id: found for ref, found in zip(refs, rows, strict=True)},
             {refs[place].id: row for row, place in linked.items()},
         )
+
+    def _look(self, number: int) -> _Objects:
+        refs, answers = self.refs(number), self._submission.images[number].answers
+        linked = _linked(self._submission, number, self._dataset, refs)
+        by_box = answers.samples is None and answers.truths is None and answers.boxes is not None
+        boxes = _boxes(self._submission, number, self._dataset, refs, linked) if by_box else None
+        return _Objects(refs, linked, boxes)
 
 
 # -- images ---------------------------------------------------------------------------------
@@ -188,49 +243,6 @@ def _one_to_one(fits: Array, least: float) -> Iterable[tuple[int, int]]:
             yield row, column
 
 
-def _rows(
-    submission: Submission,
-    number: int,
-    dataset: Dataset,
-    refs: Sequence[SampleRef],
-    linked: Mapping[int, int],
-) -> list[list[int]]:
-    """Per sample of an image the rows of its answers, the best first."""
-    answers = submission.images[number].answers
-    rows = order(answers)
-    found: list[list[int]] = [[] for _ in refs]
-    if answers.samples is not None:
-        places = {ref.id: place for place, ref in enumerate(refs)}
-        for row in rows:
-            if answers.samples[row] in places:
-                found[places[answers.samples[row]]].append(row)
-    elif answers.truths is not None:
-        for row in rows:
-            if answers.truths[row] in linked:
-                found[linked[int(answers.truths[row])]].append(row)
-    elif answers.boxes is not None:
-        boxes = _boxes(submission, number, dataset, refs, linked)
-        same = np.array(
-            [
-                [ref.category == submission.category(i) for i in answers.class_ids[rows].tolist()]
-                for ref in refs
-            ],
-            dtype=bool,
-        ).reshape(len(refs), len(answers))
-        assigned = assign(boxes, answers.boxes[rows], same)
-        found = [[rows[place] for place in places] for places in assigned]
-    else:
-        raise DataError(
-            f"{submission.path}: its answers have neither the name of a sample nor a 2-D box, so"
-            " that which object they are about cannot be told"
-        )
-    if answers.scores is not None:
-        scores = answers.scores.tolist()
-        for each in found:
-            each.sort(key=lambda row: -scores[row])
-    return found
-
-
 def _boxes(
     submission: Submission,
     number: int,
@@ -246,7 +258,9 @@ def _boxes(
     for place, ref in enumerate(refs):
         box = dataset.box(ref)
         if box is None and truths is not None and truths.boxes is not None and place in rows:
-            box = truths.boxes[rows[place]]
+            true = dataset.truth(ref).pose.translation
+            if np.linalg.norm(truths.poses[rows[place], :3, 3] - true) <= _SAME:
+                box = truths.boxes[rows[place]]
         if box is None and dataset.camera is not None:
             box = _projected(dataset.truth(ref), dataset.camera)
         if box is None:

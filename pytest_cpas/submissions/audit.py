@@ -1,0 +1,363 @@
+"""What explains a file better than what it says: boxes, rows, frames or classes that are mixed up.
+
+Each usual mistake is undone in turn, and the samples are counted whose answer is near the truth
+then. Only what makes significantly more of them near is told: with the counts, and what to write.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from pytest_cpas.submissions.frames import Answers, Submission
+from pytest_cpas.submissions.pairing import Pairing
+from pytest_cpas.submissions.truth import OwnTruth, truth_of
+from pytest_cpas.types import Array, Dataset, GroundTruth, Symmetry
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
+from pytest_cpas.types.samples import evenly
+
+__all__ = ["audit"]
+
+#: What counts as near the truth: metres, and degrees (of the up axis where an object is symmetric).
+_NEAR_M, _NEAR_DEG = 0.02, 10.0
+
+#: How far from its own frame an answer is looked for, frames.
+_STEPS = 10
+
+#: Images that are looked at, evenly spaced, each with its neighbours.
+_IMAGES = 200
+
+#: A mistake is told if undoing it brings so many samples more near the truth than away from it, and
+#: as many standard deviations of a coin that is thrown for each; or so many more of them closer to
+#: it, and none in all away from it.
+_LEAST, _DEVIATIONS, _FAR = 5, 4.0, 5.0
+
+#: The file's own truth is the data set's up to such differences: metres, degrees.
+_SAME_M, _SAME_DEG = 1e-4, 0.1
+
+#: An answer that so many samples share, and that is so large a part of them, is told.
+_REPEATED, _SHARE = 5, 0.1
+
+
+class _Truth(NamedTuple):
+    """Objects of an image: positions (n, 3), rotations (n, 3, 3), which are symmetric (n,)."""
+
+    positions: Array
+    rotations: Array
+    symmetric: NDArray[np.bool_]
+
+
+class _Errors(NamedTuple):
+    """Of samples (n,): whether they are near the truth, and the distance from it, metres, infinite
+    without an answer."""
+
+    near: NDArray[np.bool_]
+    metres: Array
+
+
+class _Mistake(NamedTuple):
+    """A usual mistake: what it is, what to write instead, and the answers without it."""
+
+    told: str
+    write: str
+    undone: Callable[[int], Answers | None]
+
+
+def audit(submission: Submission, pairing: Pairing, dataset: Dataset) -> list[str]:
+    """What is noticed about the answers of a file, a line each; nothing about a sound one.
+
+    Raises :class:`pytest_cpas.types.DataError` for a truth that cannot be read.
+    """
+    numbers = evenly(sorted(pairing.images), _IMAGES)
+    truths = {number: _truth(pairing, dataset, number) for number in numbers}
+
+    def errors(undone: Callable[[int], Answers | None]) -> _Errors:
+        found = [_errors(submission, pairing, n, undone(n), truths[n]) for n in numbers]
+        return _Errors(*map(np.concatenate, zip(*found, strict=True)))
+
+    if not numbers:
+        return []
+    given = errors(lambda number: submission.images[number].answers)
+    where = "" if len(numbers) == len(pairing.images) else f" of {len(numbers)} images"
+    lines = []
+    best: tuple[int, int, _Mistake] | None = None
+    for mistake in _mistakes(submission, pairing):
+        found = errors(mistake.undone)
+        nearer = _tell(given.metres > found.metres, found.metres > given.metres, _FAR)
+        if nearer and found.near.sum() >= given.near.sum():
+            clear = True
+        else:
+            clear = _tell(found.near & ~given.near, given.near & ~found.near, _DEVIATIONS)
+        closer = int((given.metres > found.metres).sum())
+        if clear and (best is None or (int(found.near.sum()), closer) > best[:2]):
+            best = int(found.near.sum()), closer, mistake
+    if best is not None:
+        count, closer, mistake = best
+        lines.append(
+            f"audit: {mistake.told} would bring {count} instead of {given.near.sum()} of"
+            f" {len(given.near)} samples{where} near the truth ({_NEAR_M * 100:g} cm,"
+            f" {_NEAR_DEG:g} deg), and {closer} closer than they are; if that is it,"
+            f" {mistake.write}"
+        )
+    if not isinstance(dataset, OwnTruth):
+        lines += _differing(submission, pairing, dataset)
+    return [*lines, *_copied(submission, pairing), *_repeated(submission, pairing)]
+
+
+# -- what is near ---------------------------------------------------------------------------
+
+
+def _truth(pairing: Pairing, dataset: Dataset, number: int) -> _Truth:
+    truths = [dataset.truth(ref) for ref in pairing.refs(number)]
+    return _Truth(
+        np.array([truth.pose.translation for truth in truths]).reshape(-1, 3),
+        np.array([truth.pose.rotation for truth in truths]).reshape(-1, 3, 3),
+        np.array([truth.symmetry != Symmetry.none() for truth in truths], dtype=bool),
+    )
+
+
+def _tell(better: NDArray[np.bool_], worse: NDArray[np.bool_], deviations: float) -> bool:
+    """Whether more samples are better than worse than a fair coin explains."""
+    gained, lost = int(better.sum()), int(worse.sum())
+    return gained - lost >= float(max(_LEAST, deviations * np.sqrt(gained + lost)))
+
+
+def _errors(
+    submission: Submission,
+    pairing: Pairing,
+    number: int,
+    answers: Answers | None,
+    truth: _Truth,
+) -> _Errors:
+    """Those of the best answers about the samples of an image."""
+    count = len(truth.positions)
+    near, metres = np.zeros(count, bool), np.full(count, np.inf)
+    if answers is None or not len(answers):
+        return _Errors(near, metres)
+    firsts = [rows[0] if rows else -1 for rows in pairing.rows(number, answers)]
+    places = [place for place, row in enumerate(firsts) if row >= 0]
+    poses = answers.poses[[firsts[place] for place in places]]
+    with np.errstate(all="ignore"):
+        scales = np.cbrt(np.linalg.det(poses[:, :3, :3]))
+        rotations = poses[:, :3, :3] / scales[:, None, None]
+        if submission.object_frame == "nocs":
+            rotations = rotations @ NOCS_FROM_SHAPENET
+        true = truth.rotations[places]
+        traces = np.einsum("nij,nij->n", rotations, true)
+        ups = np.einsum("ni,ni->n", rotations[:, :, 1], true[:, :, 1])
+        cosines = np.where(truth.symmetric[places], ups, (traces - 1) / 2)
+        apart = np.linalg.norm(poses[:, :3, 3] - truth.positions[places], axis=1)
+        # what is not finite is near nothing
+        near[places] = (apart <= _NEAR_M) & (cosines >= np.cos(np.radians(_NEAR_DEG)))
+        metres[places] = np.where(np.isfinite(apart), apart, np.inf)
+    return _Errors(near, metres)
+
+
+# -- usual mistakes -------------------------------------------------------------------------
+
+
+def _mistakes(submission: Submission, pairing: Pairing) -> Iterator[_Mistake]:
+    images = submission.images
+
+    def of(number: int) -> Answers:
+        return images[number].answers
+
+    for told, write, make in _BOX_ORDERS:
+
+        def boxes(number: int, make: Callable[[Array], Array] = make) -> Answers | None:
+            answers = of(number)
+            return None if answers.boxes is None else replace(answers, boxes=make(answers.boxes))
+
+        yield _Mistake(f"to read 2-D boxes as {told}", f"write {write}", boxes)
+    for step in (1, -1):
+        rows = f"the row {'above' if step > 0 else 'below'}"
+        for parts, told in _ROLLED:
+
+            def rolled(
+                number: int, step: int = step, parts: Sequence[str] = parts
+            ) -> Answers | None:
+                answers = of(number)
+                values = {part: getattr(answers, part) for part in parts}
+                moved = {k: np.roll(v, step, axis=0) for k, v in values.items() if v is not None}
+                return replace(answers, **moved) if len(answers) > 1 else None
+
+            yield _Mistake(
+                f"to take the {told} of each answer from {rows}",
+                f"write {told} in the order of the rest of their frame",
+                rolled,
+            )
+
+        def shifted(number: int, step: int = step) -> Answers | None:
+            answers = of(number)
+            ids = answers.class_ids + step
+            fits = (ids >= 1) & (ids <= len(submission.classes))
+            return replace(answers, class_ids=np.where(fits, ids, answers.class_ids))
+
+        yield _Mistake(
+            f"to read class ids as {'one more' if step > 0 else 'one less'}",
+            f"number classes from 1: {', '.join(submission.classes)}",
+            shifted,
+        )
+    yield from _misplaced(submission, pairing)
+
+
+#: How boxes are meant that are no y1, x1, y2, x2; how to write them so; and what they become.
+_BOX_ORDERS: tuple[tuple[str, str, Callable[[Array], Array]], ...] = (
+    ("x1, y1, x2, y2", "boxes[:, [1, 0, 3, 2]]", lambda b: b[:, [1, 0, 3, 2]]),
+    (
+        "x, y, width, height",
+        "y, x, y + height, x + width",
+        lambda b: np.column_stack([b[:, 1], b[:, 0], b[:, 1] + b[:, 3], b[:, 0] + b[:, 2]]),
+    ),
+    (
+        "y, x, height, width",
+        "y, x, y + height, x + width",
+        lambda b: np.column_stack([b[:, :2], b[:, :2] + b[:, 2:]]),
+    ),
+    (
+        "centre x, centre y, width, height",
+        "corners y1, x1, y2, x2",
+        lambda b: np.column_stack([b[:, 1::-1] - b[:, :1:-1] / 2, b[:, 1::-1] + b[:, :1:-1] / 2]),
+    ),
+)
+
+#: Parts of answers that are rolled against the rest of their frame.
+_ROLLED = (
+    (("poses", "extents", "scores"), "poses"),
+    (("class_ids",), "classes"),
+    (("boxes",), "2-D boxes"),
+)
+
+
+def _misplaced(submission: Submission, pairing: Pairing) -> Iterator[_Mistake]:
+    """Answers about an image that stand with another one."""
+    images = submission.images
+    placed = list(pairing.images)  # in the order of the data set
+    write = "store what was answered with the image that it was answered for"
+    for step in (*range(1, _STEPS + 1), *range(-1, -_STEPS - 1, -1)):
+        others = dict(zip(placed, [*placed[step:], *placed[:step]], strict=True))
+        near = "next frame" if step > 0 else "previous frame"
+        far = f"frame that is {abs(step)} {'after' if step > 0 else 'before'}"
+        told = near if abs(step) == 1 else far
+
+        def whole(number: int, others: dict[int, int] = others) -> Answers | None:
+            return images[others[number]].answers
+
+        def poses(number: int, others: dict[int, int] = others) -> Answers | None:
+            answers, other = images[number].answers, images[others[number]].answers
+            if len(answers) != len(other):
+                return None
+            return replace(answers, poses=other.poses, extents=other.extents)
+
+        yield _Mistake(f"to take the answers of the {told}", write, whole)
+        if abs(step) == 1:
+            yield _Mistake(f"to take the poses of the {told}", write, poses)
+    names = [str(int(digits)) if (digits := _last(pairing.images[n])) else "" for n in placed]
+    alphabetical = sorted(
+        range(len(placed)), key=lambda i: (pairing.images[placed[i]].rpartition("/")[0], names[i])
+    )
+    if alphabetical != list(range(len(placed))):
+        where = dict(zip((placed[i] for i in alphabetical), placed, strict=True))
+        back = {other: number for number, other in where.items()}
+        for told, moved in (
+            ("to take the frames as sorted alphabetically (0, 1, 10, 100)", where),
+            ("to take the frames in their own order, not alphabetically (0, 1, 10, 100)", back),
+        ):
+
+            def sorted_otherwise(number: int, moved: dict[int, int] = moved) -> Answers | None:
+                return images[moved[number]].answers
+
+            yield _Mistake(told, "sort the frames by their numbers", sorted_otherwise)
+
+
+def _last(name: str) -> str:
+    """The digits at the end of an image's name."""
+    stem = name.rstrip("0123456789")
+    return name[len(stem) :]
+
+
+# -- the file's own truth -------------------------------------------------------------------
+
+
+def _differing(submission: Submission, pairing: Pairing, dataset: Dataset) -> Iterator[str]:
+    """Where the file's own truth is not the data set's."""
+    strange = total = 0
+    apart: list[tuple[float, float]] = []
+    for number in pairing.images:
+        truths = submission.images[number].truths
+        if truths is None:
+            continue
+        own = pairing.found(number).own
+        total += len(truths)
+        strange += len(truths) - len(own)
+        apart += [
+            _apart(dataset.truth(ref), truth_of(submission, truths, own[ref.id]))
+            for ref in pairing.refs(number)
+            if ref.id in own
+        ]
+    if strange:
+        yield (
+            f"{strange} of {total} objects of the file's own ground truth are none of"
+            f" {dataset.name}'s, and do not count"
+        )
+    differing = [each for each in apart if each[0] > _SAME_M or each[1] > _SAME_DEG]
+    if differing:
+        metres, degrees = np.max(differing, axis=0)
+        yield (
+            f"the file's own ground truth differs from {dataset.name}'s for {len(differing)} of"
+            f" {len(apart)} objects, by up to {metres * 1000:.1f} mm and {degrees:.1f} deg; that of"
+            f" {dataset.name} counts"
+        )
+
+
+def _apart(one: GroundTruth, other: GroundTruth) -> tuple[float, float]:
+    """How far two truths about an object are apart, metres (of centres or sides) and degrees."""
+    metres = max(
+        float(np.linalg.norm(one.pose.translation - other.pose.translation)),
+        float(np.abs(one.extents - other.extents).max()),
+    )
+    turn = one.pose.rotation.T @ other.pose.rotation
+    if one.symmetry != Symmetry.none():  # the up axis alone says something of all of those
+        return metres, float(np.degrees(np.arctan2(np.hypot(turn[0, 1], turn[2, 1]), turn[1, 1])))
+    return metres, float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+
+
+# -- answers that are none of their own -----------------------------------------------------
+
+
+def _copied(submission: Submission, pairing: Pairing) -> Iterator[str]:
+    """Answers that are the file's own truth, bit for bit."""
+    equal = total = 0
+    for number in pairing.images:
+        image = submission.images[number]
+        if image.truths is None:
+            continue
+        true = {pose.tobytes() for pose in image.truths.poses}
+        equal += sum(pose.tobytes() in true for pose in image.answers.poses)
+        total += len(image.answers)
+    if equal >= _REPEATED:
+        yield (
+            f"audit: {equal} of {total} answers are the file's own ground truth to the last bit;"
+            " was one stored in the place of the other?"
+        )
+
+
+def _repeated(submission: Submission, pairing: Pairing) -> Iterator[str]:
+    """One pose that many answers have."""
+    counts = Counter(
+        pose.tobytes()
+        for number in pairing.images
+        for pose in submission.images[number].answers.poses
+        if np.isfinite(pose).all() and pose[:3, :3].any()
+    )
+    if not counts:
+        return
+    [(_, most)] = counts.most_common(1)
+    if most >= max(_REPEATED, _SHARE * counts.total()):
+        yield f"audit: {most} of {counts.total()} answers have one and the same pose"
