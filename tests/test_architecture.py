@@ -40,7 +40,16 @@ ARROWS: Mapping[str, set[str]] = {
         "types",
         "_files",
     },
-    "golden": {"protocols", "facts", "evaluation", "metrics", "reading", "types", "_files"},
+    "golden": {
+        "protocols",
+        "facts",
+        "evaluation",
+        "datasets",
+        "metrics",
+        "reading",
+        "types",
+        "_files",
+    },
     "diagnosis": {"_deprecation", "facts", "golden", "evaluation", "metrics", "types"},
     "checks": {
         "golden",
