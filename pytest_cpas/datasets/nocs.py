@@ -94,6 +94,7 @@ class NocsTree(Tree):
     """The test split below ``root`` as a data set; see the module's docstring for the layout."""
 
     camera: Camera
+    published_axes = NOCS_FROM_SHAPENET
 
     #: The folder of the frames, the lines of a meta file, and where a model's mesh may be.
     frames = "real_test"

@@ -46,6 +46,7 @@ class PhoCaL(RecordTree):
     """The test images of PhoCaL."""
 
     mesh_axes = SHAPENET_FROM_Z_UP
+    published_axes = SHAPENET_FROM_Z_UP.T
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``phocal`` in it; FileNotFoundError says how.

@@ -51,6 +51,7 @@ class Redwood75(RecordTree):
 
     camera = REDWOOD_CAMERA
     mesh_axes = _SHAPENET_FROM_ANNOTATION
+    published_axes = _SHAPENET_FROM_ANNOTATION.T
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the annotations in ``data_dir`` or ``data_dir/redwood75``.

@@ -40,6 +40,7 @@ class Wild6D(RecordTree):
     """The test set of Wild6D."""
 
     several = False
+    published_axes = NOCS_FROM_SHAPENET
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``wild6d`` in it; FileNotFoundError says how."""

@@ -67,7 +67,7 @@ class StoredRun(Run):
         data set.
         """
         known = None if dataset is None else as_dataset(dataset)
-        self._submission = read_submission(path, CATEGORIES if known is None else known.classes)
+        self._submission = read_submission(path, known)
         self._dataset = known or OwnTruth(self._submission)
         self._pairing = Pairing(self._submission, self._dataset)
         self._half = in_half_precision(self._submission.images)

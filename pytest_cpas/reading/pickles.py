@@ -12,20 +12,28 @@ from pytest_cpas.types import DataError
 
 
 def load_numpy_pickle(path: Path) -> dict[str, Any]:
-    """Read a pickled dict of builtins and numpy arrays; nothing that it names is ever called.
+    """Read a pickled dict as :func:`load_pickle` does.
+
+    Raises :class:`DataError` as it does, and if the file holds no dict.
+    """
+    value = load_pickle(path)
+    if not isinstance(value, dict):
+        raise DataError(f"{path}: holds a {type(value).__name__}, expected a dict of arrays")
+    return value
+
+
+def load_pickle(path: Path) -> Any:
+    """Read a pickle of builtins and numpy arrays; nothing that it names is ever called.
 
     Arrays and scalars are of booleans, integers, floats and complex numbers of at most 64 bits a
     part, of text or of bytes; arrays of objects hold plain values. Arrays are read-only. Text of
     Python 2 is taken as Latin 1. What is read is limited as :mod:`~.pickle_limits` says.
 
     Raises :class:`DataError` naming the file and the byte when it names anything else, is
-    truncated, damaged or too large, or holds no dict.
+    truncated, damaged or too large.
     """
     content = read_bytes(path, MAX_FILE)
     try:
-        value = unpickle(content)
+        return unpickle(content)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
-    if not isinstance(value, dict):
-        raise DataError(f"{path}: holds a {type(value).__name__}, expected a dict of arrays")
-    return value

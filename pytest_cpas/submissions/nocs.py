@@ -2,18 +2,24 @@
 
 ``gt_class_ids`` (n,), ``gt_bboxes`` (n, 4), ``gt_RTs`` (n, 4, 4), ``gt_scales`` (n, 3) and
 ``pred_class_ids`` (m,), ``pred_bboxes`` (m, 4), ``pred_RTs`` (m, 4, 4), ``pred_scales`` (m, 3);
-``pred_scores`` (m,) and ``gt_handle_visibility`` (n,) need not be there, nor the truth as a whole.
-Boxes are y1, x1, y2, x2 in pixels; poses are rotation times scale, metres, in NOCS object axes;
-sizes are relative to that scale. Read are
+``pred_scores`` (m,) and ``gt_handle_visibility`` (n,) need not be there, or are None, nor the truth
+as a whole. Boxes are y1, x1, y2, x2 in pixels; poses are rotation times scale, metres; sizes are
+relative to that scale. The object axes are those of the poses that the data set publishes; without
+one they are NOCS's. Class ids count the data set's classes from 1. Read are
 
-* a pickle of one image, ``results_*_scene_S_NNNN.pkl``, or a folder of them;
+* a pickle of one image, such as ``results_test_scene_S_NNNN.pkl`` of REAL275 and
+  ``results_val_SSSSS_NNNN.pkl`` of CAMERA25;
+* a folder of them, or a folder per scene, whose pickles are called by the image alone
+  (HouseCat6D: ``test_scene1/000012.pkl``);
 * an ``.npz`` with the rows of all images one after the other, ``frame`` (their names) and
   ``gt_offset`` / ``pred_offset`` (where each image's rows begin).
+
+As ``utils/solver.py`` and ``utils/solver_housecat6d.py`` of Leeiieeo/AG-Pose (2024; 09daeee) write
+it, and many before them.
 """
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -24,12 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.reading.arrays import Wanted, read_npz
-from pytest_cpas.reading.files import regular
-from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths, relative_extents
 from pytest_cpas.types import DataError
 
-__all__ = ["image_of", "read", "submission"]
+__all__ = ["image_name", "image_of", "read", "submission"]
 
 #: The arrays that an image must have, and the shape of a row of each.
 REQUIRED: dict[str, tuple[int, ...]] = {
@@ -69,11 +73,11 @@ _LARGEST_PIXEL = 1e9
 
 
 def read(path: Path, classes: Sequence[str]) -> Submission:
-    """A pickle, a folder of them, or an ``.npz``.
+    """An ``.npz``.
 
     Raises :class:`DataError` naming the file that is damaged, or that holds more than is read.
     """
-    return submission(path, "NOCS", _images(path, classes), classes)
+    return submission(path, "NOCS", _read_npz(path, classes), classes)
 
 
 def submission(
@@ -106,16 +110,10 @@ def submission(
     )
 
 
-def _images(path: Path, classes: Sequence[str]) -> Iterator[Image]:
-    if os.path.isdir(path):  # which takes names that are too long
-        for file in sorted(path.glob("*.pkl")):
-            yield from _images(file, classes)
-    elif path.suffix == ".npz":
-        yield from _read_npz(path, classes)
-    else:
-        match = re.search(r"(scene_\d+_\d+)$|_([^_]+_[^_]+)$", path.stem)
-        name = match.group(0).lstrip("_") if match else path.stem
-        yield image_of(name, load_numpy_pickle(regular(path)), f"{path}", classes)
+def image_name(path: Path) -> str:
+    """The image that a pickle is about, by the pickle's name."""
+    match = re.search(r"(scene_\d+_\d+)$|_([^_]+_[^_]+)$", path.stem)
+    return match.group(0).lstrip("_") if match else path.stem
 
 
 def _read_npz(path: Path, classes: Sequence[str]) -> Iterator[Image]:
@@ -123,6 +121,8 @@ def _read_npz(path: Path, classes: Sequence[str]) -> Iterator[Image]:
     names: list[str] = arrays["frame"].tolist()
     if len(names) > MOST_IMAGES:
         raise DataError(f"{path}: {len(names)} frames, at most {MOST_IMAGES} are read; split it")
+    if not all(names):
+        raise DataError(f"{path}: a frame has no name")
     offsets = {}
     sides = _sides(arrays, f"{path}")
     for side in sides:
@@ -195,6 +195,7 @@ def _checked(values: Mapping[str, Any], where: str) -> dict[str, NDArray[Any]]:
         side, shape = key.split("_")[0], _SHAPES[key]
         if array is None and key in _OPTIONAL:
             continue
+        array = _array(array)
         kinds = "biuf" if key in _OPTIONAL else "iuf"
         if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
             raise DataError(f"{where}: {key} is missing or not an array of numbers")
@@ -217,6 +218,16 @@ def _checked(values: Mapping[str, Any], where: str) -> dict[str, NDArray[Any]]:
             raise DataError(f"{where}: {key} holds NaN or infinite numbers")
         checked[key] = array
     return checked
+
+
+def _array(values: Any) -> Any:
+    """Lists of rows as an array, which is what their writers mean; the rest as it is."""
+    if isinstance(values, list | tuple):
+        try:
+            return np.array(values) if len(values) else np.zeros(0)
+        except ValueError:  # rows of several lengths
+            return None
+    return values
 
 
 def _check_boxes(boxes: NDArray[np.float64], where: str, *, ordered: bool) -> None:

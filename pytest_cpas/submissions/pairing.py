@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pytest_cpas.submissions.answers import order
 from pytest_cpas.submissions.frames import Answers, Submission
 from pytest_cpas.submissions.truth import OwnTruth
+from pytest_cpas.submissions.unnamed import places_of_unnamed
 from pytest_cpas.types import Array, Camera, DataError, Dataset, GroundTruth, SampleRef
 
 __all__ = ["Pairing", "assign"]
@@ -68,8 +69,10 @@ class Pairing:
         for ref in dataset.samples:
             self._refs[dataset.image(ref)].append(ref)
         if isinstance(dataset, OwnTruth):
-            self._numbers = {image.name: number for number, image in enumerate(submission.images)}
+            self._numbers = dict(dataset.numbers)
             self.notes = ["the truth is the file's own; --cpas-dataset NAME takes a data set's"]
+        elif not any(image.name for image in submission.images):
+            self._numbers, self.notes = places_of_unnamed(submission, dataset, self._refs)
         else:
             self._numbers, self.notes = _images(submission, dataset.name, list(self._refs))
         #: The data set's name of an image, by its number in the submission.
@@ -149,14 +152,6 @@ def _images(
 ) -> tuple[dict[str, int], list[str]]:
     """The number of each of the data set's images in the submission, and what is amiss."""
     stored = submission.images
-    if stored and not any(image.name for image in stored):
-        if len(stored) != len(wanted):
-            raise DataError(
-                f"{submission.path}: its {len(stored)} images have no names, and {dataset} has"
-                f" {len(wanted)} of them, so that which is which cannot be told"
-            )
-        note = f"images have no names: taken in the order of {dataset}"
-        return {image: number for number, image in enumerate(wanted)}, [note]
     known: dict[tuple[str, ...], str] = {}
     for name in wanted:
         if (key := _key(name)) in known:

@@ -3,25 +3,84 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from pytest_cpas.submissions import nocs
-from pytest_cpas.submissions.frames import Submission
-from pytest_cpas.types import CATEGORIES, DataError
+import numpy as np
+
+from pytest_cpas.submissions import nocs, pickled
+from pytest_cpas.submissions.frames import Image, Objects, Submission
+from pytest_cpas.types import CATEGORIES, Array, DataError, Dataset
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 __all__ = ["read_submission"]
 
+#: Names that a line tells of what is in a folder.
+_NAMED = 3
 
-def read_submission(path: Path, classes: Sequence[str] = CATEGORIES) -> Submission:
+
+def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
     """Read a file of predictions, or a folder of them, in any form that is known.
 
-    ``classes``: the category of each class id, from 1. Raises :class:`DataError` naming the file
-    that is damaged or in no form that is known.
+    ``dataset``: the one that they are about, whose classes and object axes they have; without it
+    those of NOCS. Raises :class:`DataError` naming the file that is damaged or in no form that is
+    known.
     """
+    if dataset is None:
+        return _read(path, CATEGORIES)
+    read = _read(path, dataset.classes)
+    if read.object_frame == "nocs" and dataset.published_axes is not NOCS_FROM_SHAPENET:
+        images = [_in_our_axes(image, dataset.published_axes) for image in read.images]
+        return replace(read, object_frame="shapenet", images=images)
+    return read
+
+
+def _read(path: Path, classes: Sequence[str]) -> Submission:
     if os.path.isdir(path):  # which takes names that are too long
-        if not any(path.glob("*.pkl")):
-            raise DataError(f"{path}: no .pkl files in this folder")
-    elif path.suffix not in (".npz", ".pkl"):
-        raise DataError(f"{path}: expected a .pkl, a folder of them, or an .npz")
-    return nocs.read(path, classes)
+        files = list(_files(path))
+        if pickles := [file for file in files if file.suffix == ".pkl"]:
+            return pickled.read_folder(path, pickles, classes)
+        raise DataError(f"{path}: no .pkl files in this folder, which {_holds(path, files)}")
+    if path.suffix == ".npz":
+        return nocs.read(path, classes)
+    if path.suffix == ".pkl":
+        return pickled.read(path, classes)
+    raise DataError(f"{path}: expected a .pkl, a folder of them, or an .npz")
+
+
+def _in_our_axes(image: Image, axes: Array | None) -> Image:
+    """An image whose objects have the axes of a data set's published poses, in ours."""
+    if axes is None:
+        return image
+    turn = np.eye(4)
+    turn[:3, :3] = axes
+
+    def turned(objects: Objects) -> dict[str, Any]:
+        extents = objects.extents
+        return {
+            "poses": objects.poses @ turn,
+            "extents": None if extents is None else extents @ np.abs(axes),
+        }
+
+    truths = image.truths
+    return replace(
+        image,
+        answers=replace(image.answers, **turned(image.answers)),
+        truths=None if truths is None else replace(truths, **turned(truths)),
+    )
+
+
+def _files(path: Path) -> Iterator[Path]:
+    """The files in a folder and in folders of it, through no link to a folder."""
+    for folder, _, names in os.walk(path):
+        yield from (Path(folder, name) for name in names if not name.startswith("."))
+
+
+def _holds(path: Path, files: Sequence[Path]) -> str:
+    if not files:
+        return "is empty"
+    names = sorted(file.relative_to(path).as_posix() for file in files)
+    rest = len(names) - _NAMED
+    return f"holds {', '.join(names[:_NAMED])}" + (f" and {rest} more" if rest > 0 else "")

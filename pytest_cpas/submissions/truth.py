@@ -80,6 +80,9 @@ class OwnTruth(Dataset):
         self._places: dict[str, tuple[str, Truths, int]] = {}
         self.samples: list[SampleRef] = []
         self.classes = submission.classes
+        #: The number of each image in the submission.
+        self.numbers: dict[str, int] = {}
+        named = any(image.name for image in submission.images)
         names: dict[str, str] = {}
         path = submission.path
         if not any(image.truths is not None for image in submission.images):
@@ -87,18 +90,20 @@ class OwnTruth(Dataset):
                 f"{path}: the file has no ground truth of its own; name the data set that it"
                 " answers: --cpas-dataset=NAME --cpas-data=DIR"
             )
-        for image in submission.images:
-            if not image.name:
-                raise DataError(f"{path}: a frame has no name")
-            if image.name in names.values():
-                raise DataError(f"{path}: frame {image.name} occurs twice")
+        for number, image in enumerate(submission.images):
+            name = image.name if named else f"{number:04d}"
+            if not name:
+                raise DataError(f"{path}: image {number} has no name, others have")
+            if name in self.numbers:
+                raise DataError(f"{path}: frame {name} occurs twice")
             if image.truths is None:
-                raise DataError(f"{path}: frame {image.name} has no ground truth, others have")
-            scene, _, place = image.name.rpartition("_")
+                raise DataError(f"{path}: frame {name} has no ground truth, others have")
+            scene, _, place = name.rpartition("/" if "/" in name else "_")
             at = f"{scene}/{place}" if scene else place
             if at in names:
-                raise DataError(f"{path}: frames {names[at]} and {image.name} give one id, {at}")
-            names[at] = image.name
+                raise DataError(f"{path}: frames {names[at]} and {name} give one id, {at}")
+            self.numbers[name] = number
+            names[at] = name
             truths = image.truths
             for index, class_id in enumerate(truths.class_ids.tolist()):
                 try:
@@ -108,11 +113,13 @@ class OwnTruth(Dataset):
                         scene=scene or place,
                     )
                 except ContractError as error:
-                    raise DataError(f"{path}, frame {image.name!r}: {error}") from None
-                self._places[ref.id] = image.name, truths, index
+                    raise DataError(f"{path}, frame {name!r}: {error}") from None
+                self._places[ref.id] = name, truths, index
                 self.samples.append(ref)
         self.absent = frozenset(self._places)
-        self.digest = _digest({image.name: image.truths for image in submission.images})
+        self.digest = _digest(
+            {name: submission.images[number].truths for name, number in self.numbers.items()}
+        )
 
     def load(self, ref: SampleRef) -> Sample:
         """There are no images; raises :class:`DataError`."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,10 @@ class Dataset(ABC):
     * ``camera``, a :class:`Camera`: the one that took all images; None if there are several.
     * ``classes``, a sequence of str: the categories of the class ids 1, 2, ... that files of
       predictions number them by.
+    * ``published_axes``, an array (3, 3), and ``published_centres``, of arrays (3,) by category:
+      object coordinates, metres, of the poses that the data set publishes, in which files of
+      predictions are too, are ``published_axes`` times ours, plus the category's centre. None and
+      ``{}`` where they are ours.
     * ``quick_truth``, bool: :meth:`truth` opens no image. True where a subclass has a ``truth`` of
       its own, unless it says otherwise.
     """
@@ -57,6 +62,8 @@ class Dataset(ABC):
     absent: Collection[str] = frozenset()
     camera: Camera | None = None
     classes: Sequence[str] = CATEGORIES
+    published_axes: Array | None = None
+    published_centres: Mapping[str, Array] = MappingProxyType({})
 
     @functools.cached_property
     def quick_truth(self) -> bool:
@@ -108,6 +115,8 @@ class WrappedDataset(Dataset):
         self.absent = dataset.absent
         self.camera = dataset.camera
         self.classes = dataset.classes
+        self.published_axes = dataset.published_axes
+        self.published_centres = dataset.published_centres
         self.quick_truth = dataset.quick_truth
 
     @property
@@ -219,6 +228,8 @@ class _Adapted(WrappedDataset):
         self._dataset = made
         self.absent = getattr(made, "absent", Dataset.absent)
         self.camera = getattr(made, "camera", None)
+        self.published_axes = getattr(made, "published_axes", None)
+        self.published_centres = getattr(made, "published_centres", {})
         self._has_truth = hasattr(made, "truth")
         self.quick_truth = bool(getattr(made, "quick_truth", self._has_truth))
 

@@ -153,6 +153,8 @@ class Held(Tiny):
     """A data set that has something else than a default everywhere."""
 
     camera = Camera(8, 6, 11.0, 10.0, 3.5, 2.5)
+    published_axes = ((0, 1, 0), (1, 0, 0), (0, 0, 1))
+    published_centres = {"mug": (0, 0, 1)}  # noqa: RUF012
     quick_truth = False
     missing = ("a frame",)
     damaged = ("a line",)

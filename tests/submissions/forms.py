@@ -1,0 +1,84 @@
+"""The same answers in every form that is read, as the code writes it that the forms are from."""
+
+import pickle
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+NAMES = ("scene_1/0000", "scene_1/0001", "scene_1/0002", "scene_1/0010", "scene_2/0100")
+
+
+def frames(names=NAMES, most_classes=6):
+    """Per image the dict of NOCS's form: two or three objects, found a little aside."""
+    made = {}
+    for number, name in enumerate(names):
+        dice = np.random.default_rng(number)
+        count = 2 + number % 2
+        ids = np.array([2, 6, 6][:count]) if most_classes == 6 else np.array([9, 10, 4][:count])
+        poses = np.tile(np.eye(4), (count, 1, 1))
+        poses[:, :3, :3] = Rotation.random(count, random_state=number).as_matrix()
+        poses[:, :3, 3] = dice.uniform((-0.3, -0.3, 0.7), (0.3, 0.3, 1.3), (count, 3))
+        off = np.tile(np.eye(4), (count, 1, 1))
+        off[:, :3, :3] = Rotation.from_rotvec(dice.normal(size=(count, 3)) / 20).as_matrix()
+        off[:, :3, 3] = dice.normal(size=(count, 3)) / 100
+        sizes = dice.uniform(0.05, 0.2, (count, 3))
+        boxes = np.array([[0, 0, 10, 10], [0, 20, 10, 30], [50, 50, 90, 90]])[:count]
+        made[name] = {
+            **side("gt", ids, boxes, poses, sizes),
+            **side("pred", ids, boxes, poses @ off, sizes * dice.uniform(0.9, 1.1, (count, 3))),
+            "pred_scores": dice.uniform(size=count),
+        }
+    return made
+
+
+def side(name, ids, boxes, poses, sizes):
+    """Objects of an image in NOCS's keys, from poses without a scale and sizes in metres."""
+    scale = np.linalg.norm(sizes, axis=1)
+    scaled = poses.copy()
+    scaled[:, :3, :3] *= scale[:, None, None]
+    return {
+        f"{name}_class_ids": ids,
+        f"{name}_bboxes": boxes,
+        f"{name}_RTs": scaled,
+        f"{name}_scales": sizes / scale[:, None],
+    }
+
+
+def metric(values, name):
+    """Poses (n, 4, 4) without a scale, and sizes (n, 3) in metres."""
+    poses = values[f"{name}_RTs"].copy()
+    scale = np.cbrt(np.linalg.det(poses[:, :3, :3]))
+    poses[:, :3, :3] /= scale[:, None, None]
+    return poses, values[f"{name}_scales"] * scale[:, None]
+
+
+def dump(path, value, protocol=4):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(pickle.dumps(value, protocol))
+    return path
+
+
+def nocs(folder, made, form="results_test_{}.pkl"):
+    """A pickle of each image."""
+    for name, values in made.items():
+        dump(folder / form.format(name.replace("/", "_")), values)
+    return folder
+
+
+def scenes(folder, made):
+    """A folder of each scene, as AG-Pose writes HouseCat6D; it knows of no handles there."""
+    for name, values in made.items():
+        dump(folder / f"{name}.pkl", values | {"gt_handle_visibility": None})
+    return folder
+
+
+def listed(path, made, names=True):
+    """One list of frames, as HS-Pose writes it: poses without a scale, sizes in metres."""
+    rows = []
+    for name, values in made.items():
+        poses, sizes = metric(values, "pred")
+        row = values | {"pred_RTs": poses, "pred_scales": sizes}
+        if not len(poses):
+            row["pred_scales"] = np.zeros((0, 4, 4))  # as it is written there
+        rows.append(row | ({"image_path": f"data/real/test/{name}"} if names else {}))
+    return dump(path, rows)
