@@ -40,16 +40,7 @@ ARROWS: Mapping[str, set[str]] = {
         "types",
         "_files",
     },
-    "golden": {
-        "protocols",
-        "facts",
-        "evaluation",
-        "datasets",
-        "metrics",
-        "reading",
-        "types",
-        "_files",
-    },
+    "golden": {"protocols", "facts", "evaluation", "metrics", "reading", "types", "_files"},
     "diagnosis": {"_deprecation", "facts", "golden", "evaluation", "metrics", "types"},
     "checks": {
         "golden",
