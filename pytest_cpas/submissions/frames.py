@@ -19,10 +19,10 @@ __all__ = ["Answers", "Image", "Objects", "Submission", "Truths", "relative_exte
 class Objects:
     """Objects of an image.
 
-    ``class_ids`` (n,): places, from 1, in the submission's classes. ``poses`` (n, 4, 4): object to
-    camera, OpenCV axes, metres; the rotation may have a scale as a factor. ``extents`` (n, 3):
-    side lengths of the box, metres, None where a form has none. ``boxes`` (n, 4): y1, x1, y2, x2 in
-    pixels, None likewise.
+    ``class_ids`` (n,): places, from 1, in the submission's classes; 0 of an answer that has none,
+    and is about the only object of its image. ``poses`` (n, 4, 4): object to camera, OpenCV axes,
+    metres; the rotation may have a scale as a factor. ``extents`` (n, 3): side lengths of the box,
+    metres, None where a form has none. ``boxes`` (n, 4): y1, x1, y2, x2 in pixels, None likewise.
     """
 
     class_ids: NDArray[np.int64]
@@ -49,7 +49,8 @@ class Answers(Objects):
     """The answers about an image.
 
     Which object one is about is said by ``samples`` (n,), the ids of the data set; or by ``truths``
-    (n,), the row among the file's own truths, -1 for none; else by class and 2-D box. ``scores``
+    (n,), the row among the file's own truths, -1 for none; else by class and 2-D box, or by class
+    and position where a form has no boxes. ``scores``
     (n,): larger is surer. ``shapes`` (n,): mesh or points (N, 3) in the object frame, metres, or
     None. ``reasons`` (n,): why there is no answer, None where there is one.
     """

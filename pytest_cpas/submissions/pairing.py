@@ -3,8 +3,10 @@
 Images are known by name. An answer is about the sample that it names; or about that of the file's
 own truth that it stands beside; or else it is a detection, which is assigned by class and 2-D box:
 one to one, by descending box IoU, at least ``DETECTION_IOU``; what is left over then, such as
-further hypotheses of one detection, goes to the object that its box overlaps most, by as much. The
-best-scored answer of a sample is its answer.
+further hypotheses of one detection, goes to the object that its box overlaps most, by as much.
+Where a form has no 2-D boxes either, it is assigned by class and position: one to one, the nearest
+first, however far; what is left over to the nearest. The best-scored answer of a sample is its
+answer.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from pytest_cpas.submissions.truth import OwnTruth
 from pytest_cpas.submissions.unnamed import places_of_unnamed
 from pytest_cpas.types import Array, Camera, DataError, Dataset, GroundTruth, SampleRef
 
-__all__ = ["Pairing", "assign"]
+__all__ = ["Pairing", "assign", "assign_by_position"]
 
 #: A detection belongs to an object if their 2-D boxes overlap at least this much.
 DETECTION_IOU = 0.5
@@ -35,10 +37,13 @@ _SAME = 0.01
 #: The file's own truth is that of a sample if their positions are no further apart, metres.
 _NEAR = 0.1
 
+#: Metres; an answer without a position is taken to be as far away.
+_FARTHEST = 1e300
+
 #: Names that a line tells before it only counts the rest.
 _NAMED = 3
 
-#: The end of an image's name that is no part of it.
+#: Words in an image's name that are no part of it.
 _KINDS = {"color", "colour", "rgb", "depth", "image", "png", "jpg", "pkl"}
 
 
@@ -113,20 +118,39 @@ class Pairing:
                 if answers.truths[row] in linked:
                     found[linked[int(answers.truths[row])]].append(row)
         elif answers.boxes is not None and boxes is not None:
-            names = [self._submission.category(i) for i in answers.class_ids[rows].tolist()]
-            same = np.array([[ref.category == name for name in names] for ref in refs], dtype=bool)
-            assigned = assign(boxes, answers.boxes[rows], same.reshape(len(refs), len(rows)))
+            same = self._same(refs, answers, rows)
+            assigned = assign(boxes, answers.boxes[rows], same)
             found = [[rows[place] for place in places] for places in assigned]
         else:
-            raise DataError(
-                f"{self._submission.path}: its answers have neither the name of a sample nor a 2-D"
-                " box, so that which object they are about cannot be told"
-            )
+            true = [self._dataset.truth(ref).pose.translation for ref in refs]
+            same = self._same(refs, answers, rows)
+            assigned = assign_by_position(np.array(true), answers.poses[rows, :3, 3], same)
+            found = [[rows[place] for place in places] for places in assigned]
         if answers.scores is not None:
             scores = answers.scores.tolist()
             for each in found:
                 each.sort(key=lambda row: -scores[row])
         return found
+
+    def _same(
+        self, refs: Sequence[SampleRef], answers: Answers, rows: Sequence[int]
+    ) -> NDArray[np.bool_]:
+        """Whether samples and answers (n, m) are of one class.
+
+        Raises :class:`DataError` for an answer without a class about one of several objects.
+        """
+        ids = answers.class_ids[rows].tolist()
+        if 0 in ids and len(refs) > 1:
+            raise DataError(
+                f"{self._submission.path}: its answers have no class, and there are {len(refs)}"
+                f" objects in image {self._dataset.image(refs[0])}; put those about each object"
+                f" into a folder of its category's name, such as {refs[0].category}/"
+            )
+        same = [
+            [number == 0 or ref.category == self._submission.category(number) for number in ids]
+            for ref in refs
+        ]
+        return np.array(same, dtype=bool).reshape(len(refs), len(rows))
 
     def _find(self, number: int) -> Found:
         refs, linked, _ = self._objects(number)
@@ -194,10 +218,8 @@ def _images(
 
 
 def _key(name: str) -> tuple[str, ...]:
-    """Words and numbers of an image's name, which folders, extensions and zeros do not change."""
-    parts = re.findall(r"[a-z]+|\d+", name.lower())
-    while parts and parts[-1] in _KINDS:
-        parts.pop()
+    """Words and numbers of an image's name, which its kind, extension and zeros do not change."""
+    parts = [part for part in re.findall(r"[a-z]+|\d+", name.lower()) if part not in _KINDS]
     return tuple(part.lstrip("0") or "0" if part.isdigit() else part for part in parts)
 
 
@@ -287,6 +309,25 @@ def _box_ious(boxes: Array, others: Array) -> Array:
     union = areas[0] + areas[1] - common
     ious: Array = np.divide(common, union, out=np.zeros_like(common), where=union > 0)
     return ious
+
+
+def assign_by_position(positions: Array, found: Array, same: NDArray[np.bool_]) -> list[list[int]]:
+    """The answers about each object, by their positions ``found`` (m, 3), metres.
+
+    ``positions`` (n, 3) of objects, ``same`` (n, m): of one class.
+    """
+    with np.errstate(all="ignore"):
+        distances = np.linalg.norm(positions[:, None] - found[None], axis=-1)
+    # a failed answer has no position, and is about what no other answer is about
+    fits = np.where(same, -np.nan_to_num(distances, nan=_FARTHEST, posinf=_FARTHEST), -np.inf)
+    assigned: list[list[int]] = [[] for _ in positions]
+    pairs = dict(_one_to_one(fits, -_FARTHEST))
+    for place, row in pairs.items():
+        assigned[place].append(row)
+    for row in {*range(len(found))} - {*pairs.values()}:
+        if same[:, row].any():
+            assigned[int(fits[:, row].argmax())].append(row)
+    return assigned
 
 
 def assign(boxes: Array, found: Array, same: NDArray[np.bool_]) -> list[list[int]]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_cpas.submissions import nocs, pickled
+from pytest_cpas.submissions import bop_csv, matrices, nocs, pickled
 from pytest_cpas.submissions.frames import Image, Objects, Submission
 from pytest_cpas.types import CATEGORIES, Array, DataError, Dataset
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
@@ -28,26 +28,34 @@ def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
     those of NOCS. Raises :class:`DataError` naming the file that is damaged or in no form that is
     known.
     """
+    read = _read(path, dataset)
     if dataset is None:
-        return _read(path, CATEGORIES)
-    read = _read(path, dataset.classes)
+        return read
     if read.object_frame == "nocs" and dataset.published_axes is not NOCS_FROM_SHAPENET:
         images = [_in_our_axes(image, dataset.published_axes) for image in read.images]
         return replace(read, object_frame="shapenet", images=images)
     return read
 
 
-def _read(path: Path, classes: Sequence[str]) -> Submission:
+def _read(path: Path, dataset: Dataset | None) -> Submission:
+    """What is in the file, in the object axes that it has."""
+    classes = CATEGORIES if dataset is None else dataset.classes
     if os.path.isdir(path):  # which takes names that are too long
         files = list(_files(path))
         if pickles := [file for file in files if file.suffix == ".pkl"]:
             return pickled.read_folder(path, pickles, classes)
-        raise DataError(f"{path}: no .pkl files in this folder, which {_holds(path, files)}")
+        if texts := [file for file in files if file.suffix == ".txt"]:
+            return matrices.read(path, texts, dataset)
+        raise DataError(
+            f"{path}: no .pkl or .txt files in this folder, which {_holds(path, files)}"
+        )
+    if path.suffix == ".csv":
+        return bop_csv.read(path, dataset)
     if path.suffix == ".npz":
         return nocs.read(path, classes)
     if path.suffix == ".pkl":
         return pickled.read(path, classes)
-    raise DataError(f"{path}: expected a .pkl, a folder of them, or an .npz")
+    raise DataError(f"{path}: expected a .pkl, a folder of them, an .npz or a .csv")
 
 
 def _in_our_axes(image: Image, axes: Array | None) -> Image:

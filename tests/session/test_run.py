@@ -265,7 +265,7 @@ def test_collect_only_judges_nothing(recorded):
         (("--cpas-method=tiny:NoInfo", "--cpas-dataset=tiny:Tiny"), "has no attribute info"),
         (("--cpas-method=tiny:Missing", "--cpas-dataset=tiny:Tiny"), "cannot be imported"),
         (("--cpas-predictions=nowhere.npz",), "nowhere.npz"),
-        (("--cpas-predictions=tiny.py",), "expected a .pkl, a folder of them, or an .npz"),
+        (("--cpas-predictions=tiny.py",), "expected a .pkl, a folder of them, an .npz or a .csv"),
         (
             ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny", "--cpas-limit=0"),
             "expected at least 1",

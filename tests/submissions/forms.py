@@ -3,6 +3,7 @@
 import pickle
 
 import numpy as np
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 NAMES = ("scene_1/0000", "scene_1/0001", "scene_1/0002", "scene_1/0010", "scene_2/0100")
@@ -82,3 +83,42 @@ def listed(path, made, names=True):
             row["pred_scales"] = np.zeros((0, 4, 4))  # as it is written there
         rows.append(row | ({"image_path": f"data/real/test/{name}"} if names else {}))
     return dump(path, rows)
+
+
+def bop(path, runs):
+    """BOP's table of the poses that a run found, by object; millimetres from the model's origin."""
+    lines = ["scene_id,im_id,obj_id,score,R,t,time"]
+    for (scene, image, number), score, pose in runs:
+        r = " ".join(map(str, pose[:3, :3].ravel().tolist()))
+        t = " ".join(map(str, (1000 * pose[:3, 3]).tolist()))
+        lines.append(f"{scene},{image},{number},{score},{r},{t},0.25")
+    path.write_text("\n".join(lines))
+    return path
+
+
+def png(path, size):
+    Image.fromarray(np.full(size, 9, np.uint8)).save(path)
+
+
+PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
+
+
+def matrices(folder, poses):
+    """A text of each pose, as FoundationPose writes it; ``poses`` by the name of the file."""
+    for name, pose in poses.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        np.savetxt(folder / name, pose)
+    return folder
