@@ -71,6 +71,7 @@ ARROWS: Mapping[str, set[str]] = {
         "_files",
     },
     "session": {
+        "submissions",
         "report",
         "documents",
         "timing",

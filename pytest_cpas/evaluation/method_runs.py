@@ -39,7 +39,7 @@ from pytest_cpas.types import (
     message_of,
     raised_as,
 )
-from pytest_cpas.types.datasets import readers_of
+from pytest_cpas.types.datasets import WrappedDataset, readers_of
 from pytest_cpas.types.frames import to_standard
 
 __all__ = ["MethodError", "MethodRun", "check_answers"]
@@ -223,6 +223,8 @@ class MethodRun(Run):
         """Read, predict, validate, measure."""
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         try:
+            if reason := self._dataset.unseen(ref):
+                return self._unseen(ref, reason)
             sample = self.read(ref)
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
@@ -235,6 +237,20 @@ class MethodRun(Run):
             strict=True,
         )
         return Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
+
+    def _unseen(self, ref: SampleRef, reason: str) -> Row:
+        """The row of a sample that there is nothing to ask about."""
+        camera = self._dataset.camera
+        if camera is None and isinstance(self._dataset, WrappedDataset):
+            camera = self._dataset.wrapped.load(ref).observation.camera
+        [answer] = measure(
+            self.facts,
+            [self.truth(ref)],
+            [Prediction.failed(reason)],
+            self._method.info,
+            None if camera is None else [camera],
+        )
+        return Row(sample=ref.id, category=ref.category, answers=(answer,) * self.seeds)
 
     def _answer(
         self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str

@@ -41,6 +41,7 @@ class RunOptions:
     merge: Sequence[Path] = ()
     allow_gaps: bool = False
     data: Path | None = None
+    detections: Path | None = None
     weights: Path | None = None
     device: str = "cpu"
     seed: int = 0
@@ -86,6 +87,7 @@ class RunOptions:
             merge=_paths(here, options.cpas_merge),
             allow_gaps=options.cpas_allow_gaps,
             data=_path(here, options.cpas_data),
+            detections=_path(here, options.cpas_detections),
             weights=_path(here, options.cpas_weights),
             device=options.cpas_device,
             seed=options.cpas_seed,
@@ -114,7 +116,7 @@ class RunOptions:
     @property
     def folders(self) -> list[Path]:
         """What is read or written and holds no code: data, weights, tables, results and reports."""
-        named = (self.data, self.weights, self.golden, self.results, self.report)
+        named = (self.data, self.detections, self.weights, self.golden, self.results, self.report)
         return [folder for folder in named if folder is not None]
 
     @property

@@ -25,6 +25,7 @@ from pytest_cpas.evaluation import (
 from pytest_cpas.report.against import pairs
 from pytest_cpas.report.stored import read_runs
 from pytest_cpas.session.options import RunOptions
+from pytest_cpas.submissions import DetectedDataset
 from pytest_cpas.types import (
     ContractError,
     Dataset,
@@ -50,7 +51,8 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     methods = [(name, make_method(name, options.weights)) for name in options.methods]
     datasets = [registry.open_dataset(name, options.data) for name in options.datasets]
     runs: list[Run] = []
-    for (name, make), dataset in itertools.product(methods, datasets):
+    seen = _seen(datasets, options)
+    for (name, make), dataset in itertools.product(methods, seen):
         runs += _method_runs(_made(name, make), make, dataset, options)
     asked: Sequence[Dataset | None] = datasets or [None]
     runs += [
@@ -67,6 +69,20 @@ def resolve_runs(options: RunOptions) -> list[Run]:
         )
     _check_runs(runs, options.selection.categories)
     return runs
+
+
+def _seen(datasets: Sequence[Dataset], options: RunOptions) -> Sequence[Dataset]:
+    """The data sets as methods see them: through the masks of a detector, if one is named."""
+    if options.detections is None:
+        return datasets
+    if not options.methods or len(datasets) != 1:
+        raise ValueError(
+            f"--cpas-detections {options.detections}: {len(options.methods)} methods and"
+            f" {len(datasets)} data sets are named, expected methods, to see objects through the"
+            " masks, and the one data set whose images they are of: --cpas-method NAME"
+            " --cpas-dataset NAME"
+        )
+    return [DetectedDataset(datasets[0], options.detections)]
 
 
 def make_method(name: str, weights: Path | None) -> Callable[[], Method]:

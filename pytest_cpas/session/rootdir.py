@@ -11,15 +11,15 @@ import inspect
 import itertools
 import os
 import shlex
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from pytest_cpas.reading.text import terminal_lines
+from pytest_cpas.session.command_line import add_options
 
 
-def check_rootdir(config: pytest.Config, add_options: Callable[[pytest.Parser], None]) -> None:
+def check_rootdir(config: pytest.Config) -> None:
     """Raise :class:`pytest.UsageError`, which says what to type, if a value of one of our options
     was taken for a test path and has moved the root directory or the configuration file."""
     words = [os.fspath(word) for word in config.invocation_params.args]
@@ -28,7 +28,7 @@ def check_rootdir(config: pytest.Config, add_options: Callable[[pytest.Parser], 
         return
     here = config.invocation_params.dir
     try:
-        root, ini, paths = _setup(words, here, add_options)
+        root, ini, paths = _setup(words, here)
     except (ImportError, AttributeError, TypeError):
         # another pytest than those that are tested: nothing is known of its root directory
         root, ini, paths = None, None, []
@@ -54,9 +54,7 @@ def check_rootdir(config: pytest.Config, add_options: Callable[[pytest.Parser], 
     raise pytest.UsageError(terminal_lines(told))
 
 
-def _setup(
-    words: list[str], here: Path, add_options: Callable[[pytest.Parser], None]
-) -> tuple[Path | None, Path | None, list[str]]:
+def _setup(words: list[str], here: Path) -> tuple[Path | None, Path | None, list[str]]:
     """Root directory, configuration file and test paths, if pytest had known our options."""
     from _pytest.config import get_config
     from _pytest.config.findpaths import determine_setup

@@ -2,6 +2,7 @@
 
 from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
 from pytest_cpas.submissions.audit import audit
+from pytest_cpas.submissions.detections import DetectedDataset
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
 from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.submissions.reading import read_submission
@@ -9,6 +10,7 @@ from pytest_cpas.submissions.truth import OwnTruth, symmetry_in_view, truth_of
 
 __all__ = [
     "Answers",
+    "DetectedDataset",
     "Image",
     "OwnTruth",
     "Pairing",

@@ -170,7 +170,7 @@ def image_of(name: str, values: Mapping[str, Any], where: str, classes: Sequence
         poses, sizes, boxes = (
             arrays[f"{side}_{key}"].astype(np.float64) for key in ("RTs", "scales", "bboxes")
         )
-        ids = _class_ids(arrays[f"{side}_class_ids"], f"{where}: {side}_class_ids", classes)
+        ids = check_class_ids(arrays[f"{side}_class_ids"], f"{where}: {side}_class_ids", classes)
         objects[side] = {
             "class_ids": ids,
             "poses": poses,
@@ -213,7 +213,7 @@ def _checked(values: Mapping[str, Any], where: str) -> dict[str, NDArray[Any]]:
             with np.errstate(over="ignore"):  # what is too large is infinite, and found below
                 array = array.astype(np.float64)
         if key.endswith("bboxes"):
-            _check_boxes(array.astype(float), f"{where}: {key}", ordered=side == "gt")
+            check_boxes(array.astype(float), f"{where}: {key}", ordered=side == "gt")
         elif key in _OPTIONAL and not np.isfinite(array.astype(float)).all():
             raise DataError(f"{where}: {key} holds NaN or infinite numbers")
         checked[key] = array
@@ -230,7 +230,8 @@ def _array(values: Any) -> Any:
     return values
 
 
-def _check_boxes(boxes: NDArray[np.float64], where: str, *, ordered: bool) -> None:
+def check_boxes(boxes: NDArray[np.float64], where: str, *, ordered: bool) -> None:
+    """That 2-D boxes (n, 4) are pixels, and ``ordered`` ones y1, x1, y2, x2."""
     if not (np.abs(boxes) <= _LARGEST_PIXEL).all():
         raise DataError(f"{where} holds NaN or numbers above {_LARGEST_PIXEL:g}, expected pixels")
     inverted = np.flatnonzero((boxes[:, 2:] < boxes[:, :2]).any(axis=1))
@@ -241,7 +242,7 @@ def _check_boxes(boxes: NDArray[np.float64], where: str, *, ordered: bool) -> No
         )
 
 
-def _class_ids(ids: NDArray[Any], where: str, classes: Sequence[str]) -> NDArray[np.int64]:
+def check_class_ids(ids: NDArray[Any], where: str, classes: Sequence[str]) -> NDArray[np.int64]:
     """Class ids as integers, also where they are stored as real numbers."""
     if len(ids) and not (ids.min() >= 1 and ids.max() <= len(classes)):
         raise DataError(

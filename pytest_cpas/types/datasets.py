@@ -86,6 +86,11 @@ class Dataset(ABC):
         ``scene_1/0000``; here that of a data set with one object an image: the sample's id."""
         return ref.id
 
+    def unseen(self, ref: SampleRef) -> str | None:
+        """Why there is nothing that a method could be asked about a sample, which then counts as
+        one without an answer, such as "not detected"; None, as here, where there is something."""
+        return None
+
     def box(self, ref: SampleRef) -> Array | None:
         """The 2-D box (4,) of what is seen of an object: y1, x1, y2, x2 in pixels, the last row and
         column not part of it. None where only the truth is there. Here that of its mask.
@@ -135,6 +140,10 @@ class WrappedDataset(Dataset):
     def image(self, ref: SampleRef) -> str:
         """The image that a sample is in."""
         return self._dataset.image(ref)
+
+    def unseen(self, ref: SampleRef) -> str | None:
+        """Why a method is not asked about a sample."""
+        return self._dataset.unseen(ref)
 
     def box(self, ref: SampleRef) -> Array | None:
         """The 2-D box of what is seen of an object."""
@@ -234,6 +243,7 @@ class _Adapted(WrappedDataset):
         self.quick_truth = bool(getattr(made, "quick_truth", self._has_truth))
 
     image = Dataset.image
+    unseen = Dataset.unseen
     box = Dataset.box
 
     def truth(self, ref: SampleRef) -> GroundTruth:

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from harness import DeclaredOptions
 
-from pytest_cpas import plugin
 from pytest_cpas.evaluation import MethodRun, Selection
+from pytest_cpas.session.command_line import add_options
 from pytest_cpas.session.options import DatasetOptions, MetricsOptions, RunOptions
 from pytest_cpas.session.resolution import read_others, resolve_runs
 
@@ -20,7 +20,7 @@ def parse(monkeypatch):
     monkeypatch.delenv("CPAS_DATA", raising=False)
     monkeypatch.delenv("CPAS_WEIGHTS", raising=False)
     declared = DeclaredOptions()
-    plugin.add_options(declared)
+    add_options(declared)
     return lambda *arguments: declared.parser.parse_args(arguments)
 
 

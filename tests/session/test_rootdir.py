@@ -6,7 +6,7 @@ import shlex
 import pytest
 from harness import RUN
 
-from pytest_cpas.plugin import add_options
+from pytest_cpas.session.command_line import add_options
 
 
 def _valued():

@@ -8,6 +8,7 @@ import pytest
 from harness import KEPT, NOT_DEMANDED, RUN, DeclaredOptions, unfolded
 
 from pytest_cpas import plugin
+from pytest_cpas.session.command_line import add_options
 
 GRID = [(), ("-n2",), ("-n2", "--dist=worksteal"), ("--cpas-granularity=scene",)]
 
@@ -358,7 +359,7 @@ def test_option_in_a_configuration_file_may_do_nothing(pytester, alone):
 
 def test_value_without_its_equals_sign_is_told(cpas, pytester):
     declared = DeclaredOptions()
-    plugin.add_options(declared)
+    add_options(declared)
     typed = [tuple(name.split("=")) for name in sorted(declared.names) if "=" in name]
     assert typed == [(o, v) for o, values in plugin.OPTIONAL_VALUES.items() for v in values]
     for option, value in typed:
@@ -406,7 +407,7 @@ def test_one_seed_of_a_method_that_varies_is_told(cpas):
 
 def test_every_option_is_decided_upon():
     declared = DeclaredOptions()
-    plugin.add_options(declared)
+    add_options(declared)
     assert FREE | plugin.NEEDS.keys() == declared.names
     assert not FREE & plugin.NEEDS.keys()
 

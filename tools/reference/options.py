@@ -5,8 +5,8 @@ import os
 import re
 from unittest import mock
 
-from pytest_cpas import plugin
 from pytest_cpas.cli import command_line
+from pytest_cpas.session.command_line import add_options
 from reference.markdown import code, codes, heading, table
 
 
@@ -32,7 +32,7 @@ def recorded() -> _Recorder:
     recorder = _Recorder()
     others = {name: value for name, value in os.environ.items() if not name.startswith("CPAS_")}
     with mock.patch.dict(os.environ, others, clear=True):
-        plugin.add_options(recorder)
+        add_options(recorder)
     return recorder
 
 

@@ -1,0 +1,143 @@
+"""What a detector found, in the place of the masks of the ground truth.
+
+A folder of pickles, one per image, ``results_*_scene_S_NNNN.pkl``, as NOCS's code and what descends
+from it exchange the results of Mask R-CNN: ``rois`` (n, 4), y1, x1, y2, x2 in pixels; ``class_ids``
+(n,); ``scores`` (n,); ``masks`` (H, W, n) of truth values. Which object of an image is whose is
+told by class and 2-D box, as for stored predictions: the surest one counts.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.reading.files import regular
+from pytest_cpas.reading.pickles import load_numpy_pickle
+from pytest_cpas.submissions.frames import Answers, Image, Submission
+from pytest_cpas.submissions.nocs import check_boxes, check_class_ids
+from pytest_cpas.submissions.pairing import Pairing
+from pytest_cpas.types import DataError, Dataset, Observation, Sample, SampleRef
+from pytest_cpas.types.datasets import WrappedDataset
+from pytest_cpas.types.names import checked_name
+
+__all__ = ["DetectedDataset"]
+
+#: The arrays of an image, and their dimensions.
+_ARRAYS = {"rois": 2, "class_ids": 1, "scores": 1, "masks": 3}
+
+#: Images of a folder, and detections in one.
+_MOST_IMAGES, _MOST_IN_IMAGE = 100_000, 300
+
+
+class DetectedDataset(WrappedDataset):
+    """A data set whose objects are seen through the masks of a detector."""
+
+    def __init__(self, dataset: Dataset, folder: Path) -> None:
+        """Read the boxes of all images; :class:`DataError` naming the file that is damaged."""
+        super().__init__(dataset)
+        self._files = _files(folder)
+        self._pairing = Pairing(self._submission(folder), dataset)
+        self._read = functools.lru_cache(maxsize=2)(_read)
+        digest = hashlib.sha256(dataset.digest.encode())
+        for image in self._detections.images:
+            for values in (image.answers.class_ids, image.answers.boxes, image.answers.scores):
+                digest.update(np.ascontiguousarray(values).tobytes())
+        self.digest = digest.hexdigest()
+        self.name = checked_name("data set", f"{dataset.name}+detections")
+        self.missing = [*dataset.missing, *self._pairing.notes]
+
+    def _submission(self, folder: Path) -> Submission:
+        images = []
+        for file in self._files:
+            found = _read(file, self.classes)
+            nothing = np.full((len(found["class_ids"]), 4, 4), np.nan)
+            answers = Answers(
+                class_ids=found["class_ids"],
+                poses=nothing,
+                boxes=found["rois"].astype(np.float64),
+                scores=found["scores"].astype(np.float64),
+            )
+            images.append(Image(name=file.stem, answers=answers))
+        self._detections = Submission(
+            path=folder,
+            form="detections",
+            images=images,
+            classes=self.classes,
+            object_frame="nocs",
+            gives=frozenset(),
+        )
+        return self._detections
+
+    def unseen(self, ref: SampleRef) -> str | None:
+        """Why no detection is of a sample; None if one is."""
+        number = self._pairing.number(ref)
+        if number is None:
+            return "whose image is not among the detections"
+        return None if self._pairing.found(number).answers[ref.id] else "not detected"
+
+    def load(self, ref: SampleRef) -> Sample:
+        """Read one sample; its mask is the detector's. Raises :class:`DataError` without one."""
+        if reason := self.unseen(ref):
+            raise DataError(f"{ref.id}: {reason}")
+        number = self._pairing.number(ref)
+        assert number is not None  # noqa: S101 - it is seen
+        row = self._pairing.found(number).answers[ref.id][0]
+        file = self._files[number]
+        masks = self._read(file, self.classes)["masks"]
+        sample = self._dataset.load(ref)
+        seen = sample.observation
+        if masks.shape[:2] != seen.mask.shape:
+            raise DataError(
+                f"{file}: masks of {masks.shape[1]} x {masks.shape[0]}, but the image is"
+                f" {seen.mask.shape[1]} x {seen.mask.shape[0]}"
+            )
+        observation = Observation(
+            category=seen.category,
+            rgb=seen.rgb,
+            depth=seen.depth,
+            mask=np.ascontiguousarray(masks[:, :, row] != 0),
+            camera=seen.camera,
+        )
+        return Sample(ref, observation, sample.truth)
+
+
+def _files(folder: Path) -> list[Path]:
+    if not os.path.isdir(folder):  # which takes names that are too long
+        raise DataError(f"{folder}: not a folder, expected one with a detector's pickle per image")
+    files = sorted(folder.glob("*.pkl"))
+    if not 0 < len(files) <= _MOST_IMAGES:
+        raise DataError(
+            f"{folder}: {len(files)} .pkl files, expected 1 to {_MOST_IMAGES}: the results of a"
+            " detector, one per image"
+        )
+    return files
+
+
+def _read(file: Path, classes: Sequence[str]) -> dict[str, NDArray[Any]]:
+    content = load_numpy_pickle(regular(file))
+    count = -1
+    for name, dimensions in _ARRAYS.items():
+        array = content.get(name)
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+            raise DataError(f"{file}: {name} is missing or not an array of numbers")
+        if len(array) == 0 and name != "masks":
+            content[name] = array = array.reshape((0,) + (4,) * (dimensions - 1))
+        rows = array.shape[-1] if name == "masks" and array.ndim == 3 else len(array)
+        count = rows if count < 0 else count
+        if array.ndim != dimensions or rows != count or count > _MOST_IN_IMAGE:
+            raise DataError(
+                f"{file}: {name} has shape {array.shape}, expected rois (n, 4), class_ids (n,),"
+                f" scores (n,) and masks (H, W, n) of one n up to {_MOST_IN_IMAGE}"
+            )
+    if content["rois"].shape[1:] != (4,) or not np.isfinite(content["scores"].astype(float)).all():
+        raise DataError(f"{file}: rois are no boxes (n, 4), or scores are not finite")
+    check_boxes(content["rois"].astype(float), f"{file}: rois", ordered=False)
+    content["class_ids"] = check_class_ids(content["class_ids"], f"{file}: class_ids", classes)
+    return content

@@ -1,0 +1,183 @@
+"""Methods that see objects through the masks of a detector."""
+
+import os
+import pickle
+
+import numpy as np
+import pytest
+import tiny
+
+from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.protocols import shipped_protocol
+from pytest_cpas.reading.pickles import load_numpy_pickle
+from pytest_cpas.submissions import DetectedDataset
+from pytest_cpas.types import DataError, Hypothesis, MethodInfo, Prediction
+
+CLASSES = {"bowl": 2, "mug": 6}
+
+
+def detections(category, boxes=((2, 3, 4, 6),), scores=None, **changed):
+    masks = np.zeros((6, 8, len(boxes)), bool)
+    for index, (top, left, bottom, right) in enumerate(boxes):
+        masks[top : bottom - 1, left:right, index] = True  # a row less than the box
+    values = {
+        "rois": np.array(boxes, np.int32).reshape(-1, 4),
+        "class_ids": np.full(len(boxes), CLASSES[category], np.int32),
+        "scores": np.linspace(0.9, 0.5, len(boxes)) if scores is None else np.array(scores),
+        "masks": masks,
+    }
+    return values | changed
+
+
+def name_of(ref):
+    return f"results_test_{ref.id.replace('/', '_')}.pkl"
+
+
+def wrote(folder, **special):
+    """A detection of each sample, or what is special about some: None for no file."""
+    folder.mkdir(exist_ok=True)
+    for index, ref in enumerate(tiny.Tiny(None).samples):
+        values = special.get(f"at{index}", detections(ref.category))
+        if values is not None:
+            (folder / name_of(ref)).write_bytes(pickle.dumps(values))
+    return folder
+
+
+class Seeing:
+    """Answers rightly, and remembers the masks that it was given."""
+
+    info = MethodInfo(
+        name="seeing",
+        categories=tiny.CATEGORIES,
+        needs={"depth"},
+        gives={"extents"},
+        licence="MIT",
+    )
+
+    def load(self, assets, device):
+        self.masks = {}
+
+    def predict(self, batch, seed):
+        answers = []
+        for seen in batch:
+            index = round(float(seen.rgb[0, 0, 0]) * 255)
+            self.masks[index] = seen.mask.copy()
+            truth = tiny.truth(index)
+            pose = truth.pose
+            answer = Hypothesis(
+                rotation=pose.rotation, translation=pose.translation, extents=truth.extents
+            )
+            answers.append(Prediction((answer,)))
+        return answers
+
+
+def judged(folder, **options):
+    method = Seeing()
+    run = MethodRun(method, DetectedDataset(tiny.Tiny(None), folder), **options)
+    return run, method, {ref.id: run.judge(ref) for ref in run.samples}
+
+
+def test_masks_are_the_detectors(tmp_path):
+    run, method, rows = judged(wrote(tmp_path / "d"))
+    assert len(rows) == tiny.COUNT
+    assert all(row.failure is None for row in rows.values())
+    expected = detections("mug")["masks"][:, :, 0]
+    assert all(np.array_equal(mask, expected) for mask in method.masks.values())
+    assert run.dataset == "tiny+detections"
+    assert run.identity["data"] != MethodRun(Seeing(), tiny.Tiny(None)).identity["data"]
+
+
+def test_surest_of_several_counts(tmp_path):
+    boxes = ((2, 3, 4, 6), (2, 3, 5, 6))
+    for scores, rows in (((0.9, 0.3), 1), ((0.3, 0.9), 2)):
+        folder = wrote(tmp_path / "d", at1=detections("mug", boxes, scores))
+        _, method, _ = judged(folder)
+        assert method.masks[1].sum() == 3 * rows
+
+
+@pytest.mark.parametrize(
+    ("special", "reason"),
+    [
+        (None, "whose image is not among the detections"),
+        (detections("mug", ()), "not detected"),
+        (detections("bowl"), "not detected"),
+        (detections("mug", ((0, 0, 2, 2),)), "not detected"),
+    ],
+)
+def test_what_is_not_detected_counts_as_not_correct(tmp_path, special, reason):
+    protocols = [shipped_protocol(name) for name in ("cpas", "bop")]
+    _, method, rows = judged(wrote(tmp_path / "d", at1=special), protocols=protocols, seeds=2)
+    failed = {name: row for name, row in rows.items() if row.failure}
+    assert [*failed] == ["scene_0/0001"]
+    [row] = failed.values()
+    assert row.failure == reason
+    assert len(row.answers) == 2
+    assert 1 not in method.masks, "it is not asked"
+    other = rows["scene_0/0000"].facts
+    assert {k for k, v in row.facts.items() if v is None} == {
+        k for k, v in other.items() if v is None
+    }
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"masks": np.zeros((6, 8, 2), bool)}, r"masks has shape \(6, 8, 2\)"),
+        ({"masks": None}, "masks is missing"),
+        ({"rois": np.zeros((1, 3))}, "rois"),
+        ({"scores": np.array([np.nan])}, "scores are not finite"),
+        ({"class_ids": np.array([7])}, "class ids run from 7 to 7"),
+        ({"class_ids": np.array([[2]])}, "class_ids has shape"),
+    ],
+)
+def test_damaged_detections(tmp_path, changed, words):
+    folder = wrote(tmp_path / "d", at3=detections("mug", **changed))
+    with pytest.raises(DataError, match=rf"results_test_scene_0_0003\.pkl: .*{words}"):
+        DetectedDataset(tiny.Tiny(None), folder)
+
+
+def test_masks_of_another_size(tmp_path):
+
+    folder = wrote(tmp_path / "d", at3=detections("mug", masks=np.ones((4, 4, 1), bool)))
+    data = DetectedDataset(tiny.Tiny(None), folder)
+    with pytest.raises(DataError, match="masks of 4 x 4, but the image is 8 x 6"):
+        data.load(data.samples[3])
+
+
+def test_a_folder_that_is_none(tmp_path):
+    for path in (tmp_path / "none", tmp_path):
+        with pytest.raises(DataError, match=r"detector"):
+            DetectedDataset(tiny.Tiny(None), path)
+    os.mkfifo(tmp_path / "results_test_scene_0_0000.pkl")
+    with pytest.raises(DataError, match="not a regular file"):
+        DetectedDataset(tiny.Tiny(None), tmp_path)
+
+
+def test_published_detections_are_read(test_data):
+    """What Mask R-CNN found on a real frame, as numpy 1.16 wrote it."""
+    folder = test_data / "detections"
+    content = load_numpy_pickle(folder / "results_test_scene_5_0001.pkl")
+
+    class Frame(tiny.Tiny):
+        def __init__(self):
+            super().__init__(None)
+            ref = tiny.SampleRef(id="scene_5/0001", category="can", scene="scene_5")
+            self.samples = [ref]
+
+        def load(self, ref):
+            seen = np.zeros((480, 640), bool)
+            top, left, bottom, right = content["rois"][0]
+            seen[top:bottom, left:right] = True
+            camera = tiny.Camera(640, 480, 590.0, 590.0, 320.0, 240.0)
+            observation = tiny.Observation(
+                category="can",
+                rgb=np.zeros((480, 640, 3), np.float32),
+                depth=np.zeros((480, 640), np.float32),
+                mask=seen,
+                camera=camera,
+            )
+            return tiny.Sample(ref, observation, tiny.truth(0))
+
+    data = DetectedDataset(Frame(), folder)
+    mask = data.load(data.samples[0]).observation.mask
+    assert np.array_equal(mask, content["masks"][:, :, 0])
