@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import secrets
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import platformdirs
 
@@ -55,10 +58,21 @@ def write_file(path: Path, content: str | bytes, *, below: Path | None = None) -
     """
     if below is not None:
         check_no_link(below, path)
+    with replaced(path) as file:
+        file.write(_encoded(content))
+
+
+@contextmanager
+def replaced(path: Path) -> Generator[BinaryIO]:
+    """A file to write to, open, that takes the place of ``path`` at the end of the block, as
+    :func:`write_file`; on an exception it is removed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
-        write_through(unfinished, content)
+        with unfinished.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
         unfinished.replace(path)
         sync_folder(path.parent)
     except BaseException:
@@ -66,12 +80,15 @@ def write_file(path: Path, content: str | bytes, *, below: Path | None = None) -
         raise
 
 
+def _encoded(content: str | bytes) -> bytes:
+    return content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
+
+
 def write_through(path: Path, content: str | bytes) -> None:
     """Write a file that must not be there, and wait until the disk has it; on an error a part of it
     may be there."""
-    data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     with path.open("xb") as file:
-        file.write(data)
+        file.write(_encoded(content))
         file.flush()
         os.fsync(file.fileno())
 

@@ -30,6 +30,7 @@ _SELECTING = (*_METHOD, "--cpas-predictions", "--cpas-check-dataset")
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-report": _RUN,
     "--cpas-results": _RUN,
+    "--cpas-save-predictions": (*_METHOD, "--cpas-predictions"),
     "--cpas-results-reuse": ("--cpas-results", "--cpas-merge"),
     "--cpas-require-golden": _RUN,
     "--cpas-granularity": (*_RUN, "--cpas-check-dataset"),

@@ -17,6 +17,7 @@ from pytest_cpas.types import (
     Dataset,
     GroundTruth,
     Hypothesis,
+    Mesh,
     MethodInfo,
     Observation,
     Pose,
@@ -192,6 +193,35 @@ class OtherFrames(Perfect):
                 ),
             )
         )
+
+
+class Several(OtherFrames):
+    """Up to three hypotheses, whose scores do not fall, with points or meshes; one failure."""
+
+    info = replace(OtherFrames.info, gives=frozenset({"extents", "shape", "score"}))
+
+    def answer(self, index: int) -> Prediction:
+        if index == 3:
+            return Prediction.failed("too few points\nin the mask")
+        [best] = super().answer(index).hypotheses
+        rng = np.random.default_rng(index)
+        made = []
+        for n in range(1 + index % 3):
+            turn = Rotation.from_rotvec(0.1 * n * rng.normal(size=3)).as_matrix()
+            points = best.points + 0.01 * rng.normal(size=3)
+            mesh = Mesh(points, np.arange(198).reshape(-1, 3)) if (index + n) % 2 else None
+            made.append(
+                replace(
+                    best,
+                    rotation=best.rotation @ turn,
+                    translation=best.translation + 0.01 * n * rng.normal(size=3),
+                    extents=best.extents * rng.uniform(0.9, 1.1, 3),
+                    points=points.astype(np.float32) if mesh is None else None,
+                    mesh=mesh,
+                    score=float(rng.normal()),
+                )
+            )
+        return Prediction(tuple(made))
 
 
 class Undeclared(OtherFrames):

@@ -23,6 +23,7 @@ from pytest_cpas.evaluation.results import (
 from pytest_cpas.evaluation.results_file import ResultsFile
 from pytest_cpas.evaluation.rows import Answer, Answered, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection, kernels
+from pytest_cpas.evaluation.saving import SavedAnswers
 from pytest_cpas.evaluation.surroundings import is_installed, leave_out, named
 from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
@@ -42,6 +43,7 @@ __all__ = [
     "Row",
     "Run",
     "SampleError",
+    "SavedAnswers",
     "Selection",
     "Shard",
     "StoredRun",

@@ -18,12 +18,12 @@ def measure(
     truths: Sequence[GroundTruth],
     predictions: Sequence[Prediction],
     info: MethodInfo,
-    cameras: Sequence[Camera] | None = None,
+    cameras: Sequence[Camera | None] | None = None,
 ) -> list[Answer]:
     """The facts of those ``names`` of each prediction's first hypothesis, which is its best.
 
     Further hypotheses count only for facts that are about all of them. Frames are converted as
-    ``info`` declares. ``cameras``: of each image, None if they are not known. Raises
+    ``info`` declares. ``cameras``: of each image, None where it is not known. Raises
     :class:`pytest_cpas.types.AnswerError` for a hypothesis without the shape that ``info``
     declares, or with one that has no area; :class:`pytest_cpas.types.DataError` for such a truth.
     """

@@ -39,8 +39,8 @@ from pytest_cpas.types import (
     message_of,
     raised_as,
 )
-from pytest_cpas.types.datasets import WrappedDataset, readers_of
-from pytest_cpas.types.frames import to_standard
+from pytest_cpas.types.datasets import WrappedDataset, mask_box, readers_of
+from pytest_cpas.types.frames import standard_prediction, to_standard
 
 __all__ = ["MethodError", "MethodRun", "check_answers"]
 
@@ -141,6 +141,7 @@ class MethodRun(Run):
             "data_code": programs[1].code,
         }
         self.quick_truth = dataset.quick_truth
+        self.classes = dataset.classes
         self.focal = dataset.camera.fx if dataset.camera else None
         self.robustness_point = dataset.point if isinstance(dataset, Perturbed) else None
         present = [s for s in dataset.samples if s.id not in dataset.absent]
@@ -224,7 +225,9 @@ class MethodRun(Run):
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         try:
             if reason := self._dataset.unseen(ref):
-                return self._unseen(ref, reason)
+                row = self._unseen(ref, reason)
+                self._hand_over(ref, Prediction.failed(reason), None)
+                return row
             sample = self.read(ref)
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
@@ -232,11 +235,19 @@ class MethodRun(Run):
             method = self.loaded()
         except MethodError as error:
             raise SampleError(f"{where}: {error}") from None
-        answers, shapes = zip(
+        answers, shapes, predictions = zip(
             *(self._answer(method, ref, sample, self.seed + n, where) for n in range(self.seeds)),
             strict=True,
         )
+        self._hand_over(ref, predictions[0], sample)
         return Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
+
+    def _hand_over(self, ref: SampleRef, prediction: Prediction, sample: Sample | None) -> None:
+        """Give an answer to whoever keeps it, with the 2-D box of what the method has seen."""
+        if self.take_answer is not None:
+            box = None if sample is None else mask_box(sample.observation.mask)
+            standard = standard_prediction(prediction, self._method.info)
+            self.take_answer(ref, self._dataset.image(ref), standard, box)
 
     def _unseen(self, ref: SampleRef, reason: str) -> Row:
         """The row of a sample that there is nothing to ask about."""
@@ -254,8 +265,9 @@ class MethodRun(Run):
 
     def _answer(
         self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str
-    ) -> tuple[Answer, str | None]:
-        """The answer under one seed, and its shape if that is to be kept."""
+    ) -> tuple[Answer, str | None, Prediction]:
+        """What is known of the answer under one seed, its shape if that is to be kept for a
+        picture, and the answer itself."""
         try:
             batch = [sample.observation.copy()]
             if self.limit is None:
@@ -277,9 +289,9 @@ class MethodRun(Run):
                 self.facts, [sample.truth], [prediction], self._method.info, [camera]
             )
             if not self._keeps_shapes or not prediction.hypotheses or self._is_correct(answer):
-                return answer, None
+                return answer, None, prediction
             shape = to_standard(prediction.hypotheses[0], self._method.info).shape
-            return answer, None if shape is None else encode_shape(shape)
+            return answer, None if shape is None else encode_shape(shape), prediction
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
         except ContractError as error:

@@ -12,10 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
-from pytest_cpas.facts import Detected, pair_table
+from pytest_cpas.facts import Detected, fact, pair_table
 from pytest_cpas.protocols import Protocol, Ranking, facts_of, rank, ranking_columns
 from pytest_cpas.submissions import (
     Answers,
@@ -32,6 +34,7 @@ from pytest_cpas.submissions import (
 from pytest_cpas.types import (
     CATEGORIES,
     Array,
+    Camera,
     ContractError,
     Dataset,
     GroundTruth,
@@ -41,7 +44,7 @@ from pytest_cpas.types import (
     SampleRef,
     as_dataset,
 )
-from pytest_cpas.types.frames import to_standard
+from pytest_cpas.types.frames import standard_prediction, to_standard
 
 __all__ = ["StoredRun"]
 
@@ -87,6 +90,9 @@ class StoredRun(Run):
         )
         self._places = {ref.id: place for place, ref in enumerate(self.samples)}
         self.quick_truth = self._dataset.quick_truth
+        self.classes = self._submission.classes
+        if self._submission.method:
+            self.provenance = {**self.provenance, "predicted_by": self._submission.method}
         self.focal = self._dataset.camera.fx if self._dataset.camera else None
         self.info: MethodInfo = MethodInfo(
             name=self.method,
@@ -102,13 +108,19 @@ class StoredRun(Run):
         row = self._batch(self._places[ref.id] // _BATCH)[ref.id]
         if isinstance(row, ContractError):
             raise SampleError(f"{self.method}, sample {ref.id} ({ref.category}): {row}")
+        if self.take_answer is not None:
+            number, rows, _ = self._answers(ref)
+            boxes = self._submission.images[number].answers.boxes if rows else None
+            answer = standard_prediction(self._prediction(ref), self.info)
+            box = None if boxes is None else boxes[rows[0]]
+            self.take_answer(ref, self._dataset.image(ref), answer, box)
         return row
 
     def truth(self, ref: SampleRef) -> GroundTruth:
-        """The truth about one sample; without its surface if no answer has a shape."""
+        """The truth about one sample; without its surface if no fact is about it."""
         if ref.id not in self._truths:
             truth = self._dataset.truth(ref)
-            if "shape" in self.info.gives:
+            if "shape" in self._known:
                 return self._in_view(ref, truth)
             self._truths[ref.id] = self._in_view(ref, replace(truth, surface=None))
         return self._truths[ref.id]
@@ -138,6 +150,8 @@ class StoredRun(Run):
         image, its category and its 2-D box in whole pixels, those that share all are numbered."""
         called: Counter[str] = Counter()
         for row in order(answers):
+            if np.isnan(scores[row]):
+                continue  # no detection, but a line that says that there is none
             category = self._submission.category(int(answers.class_ids[row]))
             own = f"{image}/{category}"
             if answers.boxes is not None:
@@ -162,6 +176,12 @@ class StoredRun(Run):
             reason for ref in self.samples if (reason := self._answers(ref)[2]) is not None
         )
         notes = [*self._submission.notes, *self._pairing.notes]
+        told, known = self._submission.provenance.get("data"), self._dataset.digest
+        if told is not None and told != known:
+            notes.append(
+                f"the answers are about other data of {self._submission.dataset}: {told}, judged by"
+                f" {known}"
+            )
         if self._half:
             notes.append(
                 "poses are stored in half precision: the nearest rotations are judged, and a"
@@ -181,7 +201,7 @@ class StoredRun(Run):
         if self._failures(number)[row] is not None:
             return None
         try:
-            return to_standard(self._hypothesis(number, row), self.info)
+            return to_standard(self._hypothesis(number, row, self._ranks_shapes), self.info)
         except ContractError:
             return None
 
@@ -189,29 +209,57 @@ class StoredRun(Run):
     def _failures(self, number: int) -> Sequence[str | None]:
         return failures(self._submission.images[number].answers)
 
-    @functools.cache  # noqa: B019 - lives as long as the run
-    def _hypothesis(self, number: int, row: int) -> Hypothesis:
+    def _hypothesis(self, number: int, row: int, shaped: bool = True) -> Hypothesis:
         """An answer as it is stored; :class:`ContractError` where it is none."""
+        shaped = shaped and "shape" in self.info.gives
+        # shapes of a whole file may be more than memory has
+        return self._read(number, row, shaped) if shaped else self._remembered(number, row)
+
+    @functools.cache  # noqa: B019 - lives as long as the run
+    def _remembered(self, number: int, row: int) -> Hypothesis:
+        return self._read(number, row, shaped=False)
+
+    def _read(self, number: int, row: int, shaped: bool) -> Hypothesis:
         image = self._submission.images[number]
         where = f"prediction {row} of {image.name or f'image {number}'}"
-        return hypothesis(image.answers, row, where, half=self._half)
+        return hypothesis(image.answers, row, where, half=self._half, shaped=shaped)
+
+    @functools.cached_property
+    def _ranks_shapes(self) -> bool:
+        """Whether detections are ranked by their shapes."""
+        names = facts_of(ranking_columns(self.protocols))
+        return any("shape" in fact(name).needs for name in names)
 
     @functools.lru_cache(maxsize=2)  # noqa: B019 - lives as long as the run
     def _batch(self, number: int) -> Mapping[str, Row | ContractError]:
         """The rows of some samples at once: measuring in bulk is what makes large files quick."""
         rows: dict[str, Row | ContractError] = {}
-        pairs: dict[SampleRef, tuple[GroundTruth, Prediction]] = {}
+        pairs: dict[SampleRef, tuple[GroundTruth, Prediction, Camera | None]] = {}
         for ref in self.samples[number * _BATCH : (number + 1) * _BATCH]:
             try:
-                pairs[ref] = self.truth(ref), self._prediction(ref)
+                pairs[ref] = self.truth(ref), self._prediction(ref), self._camera(ref)
             except ContractError as error:
                 rows[ref.id] = error
-        truths = [truth for truth, _ in pairs.values()]
-        predictions = [prediction for _, prediction in pairs.values()]
-        answers = measure(self.facts, truths, predictions, self.info)
-        for ref, answer in zip(pairs, answers, strict=True):
-            rows[ref.id] = Row(sample=ref.id, category=ref.category, answers=(answer,))
-        return rows
+        try:
+            return rows | self._measured(pairs)
+        except ContractError:  # of one of them, which is not known
+            for ref, pair in pairs.items():
+                try:
+                    rows |= self._measured({ref: pair})
+                except ContractError as error:
+                    rows[ref.id] = error
+            return rows
+
+    def _measured(
+        self, pairs: Mapping[SampleRef, tuple[GroundTruth, Prediction, Camera | None]]
+    ) -> dict[str, Row]:
+        """The rows of answers beside their truths."""
+        truths, predictions, cameras = zip(*pairs.values(), strict=True) if pairs else ((), (), ())
+        answers = measure(self.facts, truths, predictions, self.info, cameras)
+        return {
+            ref.id: Row(sample=ref.id, category=ref.category, answers=(answer,))
+            for ref, answer in zip(pairs, answers, strict=True)
+        }
 
     def _answers(self, ref: SampleRef) -> tuple[int, Sequence[int], str | None]:
         """The image and the rows of a sample's answers, the best first; or why there are none."""
@@ -230,6 +278,19 @@ class StoredRun(Run):
         if reason is not None:
             return Prediction.failed(reason)
         return Prediction(tuple(self._hypothesis(number, row) for row in rows))
+
+    @functools.cached_property
+    def _known(self) -> frozenset[str]:
+        """What a data set must know for the facts that are measured."""
+        measured = (fact(name) for name in self.definitions)
+        return frozenset().union(*(f.knows for f in measured if f.needs <= self.info.gives))
+
+    def _camera(self, ref: SampleRef) -> Camera | None:
+        """The camera of a sample's image, if a fact is about it and it is known."""
+        camera = self._dataset.camera
+        if camera is None and "camera" in self._known and ref.id not in self._dataset.absent:
+            return self._dataset.load(ref).observation.camera
+        return camera
 
     def _in_view(self, ref: SampleRef, truth: GroundTruth) -> GroundTruth:
         """A truth with the symmetry of what can be seen, where only the file knows it."""

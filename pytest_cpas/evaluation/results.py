@@ -72,6 +72,11 @@ class Shard:
             raise ValueError(f"shard {shown(text)}: expected i/n with 1 <= i <= n, such as 2/4")
         return cls(int(match[1]), int(match[2]))
 
+    def stem_of(self, run: Run) -> str:
+        """What the files of this part of a run are called, without their extension."""
+        part = "" if self.count == 1 else f"-{self.index}-of-{self.count}"
+        return f"{run.method}-{run.dataset}{part}"
+
     def __str__(self) -> str:
         return f"{self.index}/{self.count}"
 

@@ -56,8 +56,7 @@ class ResultsFile:
 
         ``reuse_any``: rows of another program serve as well.
         """
-        part = "" if shard.count == 1 else f"-{shard.index}-of-{shard.count}"
-        self.path = folder / f"{run.method}-{run.dataset}{part}.jsonl"
+        self.path = folder / f"{shard.stem_of(run)}.jsonl"
         self.header = Header.of(run, shard)
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
         self._changed_meanwhile, self._told = run.changed_meanwhile, set[str]()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,17 @@ from pytest_cpas.protocols import (
     score_columns,
     shipped_protocol,
 )
-from pytest_cpas.types import DataError, GroundTruth, MethodInfo, SampleRef, ToldError, shortened
+from pytest_cpas.types import (
+    CATEGORIES,
+    Array,
+    DataError,
+    GroundTruth,
+    MethodInfo,
+    Prediction,
+    SampleRef,
+    ToldError,
+    shortened,
+)
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import evenly
 
@@ -92,6 +102,7 @@ class Run(ABC):
     each file that may be part of the program. ``seeds`` is how often
     each sample is judged. ``info`` is what the method declares, None where only rows are left.
     ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
+    ``classes``: the categories of the class ids that files of predictions number them by.
     ``robustness_point``: which point of the curves of a robustness profile it is, None for none.
     ``under_contract``: it is a method's first run, which has the checks of the contract.
     ``protocols``: what it is judged under; ``facts``: the names of what is measured for them, and
@@ -104,7 +115,10 @@ class Run(ABC):
     info: MethodInfo | None = None
     quick_truth = True
     focal: float | None = None
+    classes: Sequence[str] = CATEGORIES
     robustness_point: RobustnessPoint | None = None
+    #: Where answers go that are judged, each with its image and 2-D box, if somebody keeps them.
+    take_answer: Callable[[SampleRef, str, Prediction, Array | None], None] | None = None
 
     provenance: Mapping[str, str] = {
         "platform": f"{platform.system()} {platform.machine()}",

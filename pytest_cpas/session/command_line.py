@@ -32,7 +32,14 @@ def add_options(parser: pytest.Parser) -> None:
         action="append",
         default=[],
         metavar="PATH",
-        help="judge stored predictions: a pickle, a folder of pickles, or an .npz (repeatable)",
+        help="judge stored predictions: a pickle, an .npz, a .csv of BOP, a .jsonl of"
+        " --cpas-save-predictions, or a folder of files (repeatable)",
+    )
+    group.addoption(
+        "--cpas-save-predictions",
+        metavar="PATH",
+        help="write all answers of the run, with shapes, to a .jsonl that --cpas-predictions reads;"
+        " of several runs one file each, into a folder",
     )
     group.addoption(
         "--cpas-data",

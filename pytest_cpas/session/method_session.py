@@ -46,6 +46,7 @@ from pytest_cpas.session.options import RunOptions
 from pytest_cpas.session.protocol_names import resolve_protocols
 from pytest_cpas.session.reporting import Reporter
 from pytest_cpas.session.resolution import open_results, read_others, resolve_runs
+from pytest_cpas.session.saved_predictions import open_saved
 from pytest_cpas.session.seen_items import seen_items
 from pytest_cpas.session.suite_session import (
     SuiteSession,
@@ -133,6 +134,8 @@ class CpasSession(SuiteSession):
                     run.provenance = {**run.provenance, **_digests(plugins)}
                     run.began(began(config), watched)
             files = open_results(options, runs)
+            worker = getattr(config, "workerinput", {}).get("workerid", "")
+            self.saved = open_saved(options, runs, files, worker)
             self.stages = contract_stages(runs)
             others = read_others(options, runs) if self.is_controller else []
         self.collected = {run: CollectedRun(run, files.get(run)) for run in runs}
@@ -278,12 +281,23 @@ class CpasSession(SuiteSession):
             with ExitStack() as files:
                 for collected in self.collected.values():
                     files.enter_context(collected)
+                for run, saved in self.saved.items():
+                    saved.begin(self.collected[run].rows)
                 return (yield)
         except ResultsError as error:
             end_run(error)
         finally:
             if not isinstance(sys.exception(), KeyboardInterrupt):
                 self._judge_runs(session)
+                self._write_predictions(session)
+
+    def _write_predictions(self, session: pytest.Session) -> None:
+        for run, saved in self.saved.items():
+            try:
+                saved.finish(self.collected[run].rows)
+            except ResultsError as error:
+                nodeid = f"cpas::predictions[{run.method}-{run.dataset}]"
+                report_outcome(session, nodeid, "failed", str(error))
 
     def _report_listing(self, session: pytest.Session, run: Run) -> None:
         """Report a damaged listing whose item was deselected: no selection makes it whole."""
@@ -343,6 +357,8 @@ class CpasSession(SuiteSession):
         ]
         terminal = Terminal(terminalreporter)
         self._reporter.print(terminal, list(self.collected.values()), documents)
+        for saved in self.saved.values():
+            terminal.write_line(saved.told)
         if self._report:
             terminal.write_line(f"report: {self._report}")
         if self.options.update:

@@ -31,8 +31,8 @@ class RunOptions:
     seeds that each sample is judged under, from ``seed`` on; ``alarm`` is the probability of a
     false alarm against a golden table of several seeds; ``protocols``: what is judged under, the
     paper's if None; ``timeout``: seconds that a prediction may take per sample, None for any;
-    ``reuse_any``: whether rows in ``results``
-    serve that another program computed; ``others`` are the files of the runs to compare with.
+    ``reuse_any``: whether rows in ``results`` serve that another program computed; ``save``: the
+    file, or the folder, for all answers; ``others`` are the files of the runs to compare with.
     """
 
     methods: Sequence[str] = ()
@@ -58,6 +58,7 @@ class RunOptions:
     timeout: float | None = None
     results: Path | None = None
     reuse_any: bool = False
+    save: Path | None = None
     report: Path | None = None
     others: Sequence[Path] = ()
 
@@ -104,6 +105,7 @@ class RunOptions:
             timeout=timeout,
             results=_path(here, options.cpas_results),
             reuse_any=options.cpas_results_reuse == "any",
+            save=_path(here, options.cpas_save_predictions),
             report=_path(here, options.cpas_report),
             others=_paths(here, options.cpas_against),
         )
@@ -115,8 +117,10 @@ class RunOptions:
 
     @property
     def folders(self) -> list[Path]:
-        """What is read or written and holds no code: data, weights, tables, results and reports."""
-        named = (self.data, self.detections, self.weights, self.golden, self.results, self.report)
+        """What is read or written and holds no code: data, weights, tables, results, answers and
+        reports."""
+        read = (self.data, self.detections, self.weights, self.golden)
+        named = (*read, self.results, self.save, self.report)
         return [folder for folder in named if folder is not None]
 
     @property

@@ -4,6 +4,7 @@ from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precis
 from pytest_cpas.submissions.audit import audit
 from pytest_cpas.submissions.detections import DetectedDataset
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
+from pytest_cpas.submissions.jsonl import Header, answer_line
 from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.submissions.reading import read_submission
 from pytest_cpas.submissions.truth import OwnTruth, symmetry_in_view, truth_of
@@ -11,11 +12,13 @@ from pytest_cpas.submissions.truth import OwnTruth, symmetry_in_view, truth_of
 __all__ = [
     "Answers",
     "DetectedDataset",
+    "Header",
     "Image",
     "OwnTruth",
     "Pairing",
     "Submission",
     "Truths",
+    "answer_line",
     "audit",
     "failures",
     "hypothesis",

@@ -16,6 +16,9 @@ __all__ = ["failures", "hypothesis", "in_half_precision", "order", "rigid"]
 #: relative errors of 2 ** -11 each, of the sums of three squares and of the scale.
 _HALF_TOLERANCE = 4e-3
 
+#: The same of a rotation without a scale, whose entries are as they were computed.
+_ROUNDING = 1e-12
+
 
 def in_half_precision(images: Iterable[Image]) -> bool:
     """Whether all poses that were answered are numbers of half precision (float16), whatever they
@@ -32,14 +35,16 @@ def in_half_precision(images: Iterable[Image]) -> bool:
 
 
 def order(answers: Answers) -> list[int]:
-    """The rows of an image's answers in an order that is none of the file: the surest first, those
-    that are equally sure by their other numbers."""
+    """The rows of an image's answers in an order that is none of the file: those of the best rank
+    first, then the surest, those that are equally sure by their other numbers."""
     count = len(answers)
     columns = [answers.class_ids, *answers.poses.reshape(count, 16).T]
     for values in (answers.boxes, answers.extents):
         columns += [] if values is None else [*values.T]
     if answers.scores is not None:
         columns.insert(0, -answers.scores)
+    if answers.ranks is not None:
+        columns.insert(0, answers.ranks)
     rows: list[int] = np.lexsort(columns[::-1]).tolist()
     return rows
 
@@ -81,20 +86,24 @@ def rigid(objects: Objects, index: int, *, half: bool = False) -> tuple[Array, A
         raise DataError(
             f"the pose has determinant {determinant:g}, expected the cube of a positive scale"
         )
-    rotation = pose[:3, :3] / np.cbrt(determinant)
+    rotation = pose[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDING:
+        rotation = rotation / np.cbrt(determinant)
     if half and np.abs(rotation @ rotation.T - np.eye(3)).max() <= _HALF_TOLERANCE:
         u, _, vt = np.linalg.svd(rotation)
         rotation = u @ vt
     return rotation, pose[:3, 3]
 
 
-def hypothesis(answers: Answers, index: int, where: str, *, half: bool = False) -> Hypothesis:
-    """An answer, in the frames of its submission.
+def hypothesis(
+    answers: Answers, index: int, where: str, *, half: bool = False, shaped: bool = True
+) -> Hypothesis:
+    """An answer, in the frames of its submission; without its shape unless ``shaped``.
 
     Raises :class:`AnswerError` that begins with ``where`` for what is none.
     """
-    shape = None if answers.shapes is None else answers.shapes[index]
     try:
+        shape = answers.shapes[index] if shaped and answers.shapes is not None else None
         rotation, translation = rigid(answers, index, half=half)
         return Hypothesis(
             rotation=rotation,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -52,7 +52,9 @@ class Answers(Objects):
     (n,), the row among the file's own truths, -1 for none; else by class and 2-D box, or by class
     and position where a form has no boxes. ``scores``
     (n,): larger is surer. ``shapes`` (n,): mesh or points (N, 3) in the object frame, metres, or
-    None. ``reasons`` (n,): why there is no answer, None where there is one.
+    None. ``reasons`` (n,): why there is no answer, None where there is one. ``ranks`` (n,): the
+    place among the answers about one sample, the best is 0, where a form says so whatever their
+    scores; a score of NaN is that of no answer at all.
     """
 
     samples: Sequence[str] | None = None
@@ -60,6 +62,7 @@ class Answers(Objects):
     scores: Array | None = None
     shapes: Sequence[Mesh | Array | None] | None = None
     reasons: Sequence[str | None] | None = None
+    ranks: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,7 +81,9 @@ class Submission:
 
     ``form``: what its form is called. ``classes``: the category of each class id. ``object_frame``:
     the axes of its poses and extents, as a method declares them. ``gives``: what its answers have
-    beside the pose. ``notes``: what was noticed while it was read, for people.
+    beside the pose. ``notes``: what was noticed while it was read, for people. ``method``,
+    ``dataset`` and ``provenance``: who answered what, and texts about it, empty where a form does
+    not say.
     """
 
     path: Path
@@ -88,6 +93,9 @@ class Submission:
     object_frame: Literal["shapenet", "nocs"]
     gives: frozenset[Literal["extents", "shape", "score"]]
     notes: Sequence[str] = field(default=())
+    method: str = ""
+    dataset: str = ""
+    provenance: Mapping[str, str] = field(default_factory=dict)
 
     def category(self, class_id: int) -> str:
         """The category of a class id."""

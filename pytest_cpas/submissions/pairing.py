@@ -80,6 +80,7 @@ class Pairing:
             self._numbers, self.notes = places_of_unnamed(submission, dataset, self._refs)
         else:
             self._numbers, self.notes = _images(submission, dataset.name, list(self._refs))
+            self.notes += _strangers(submission, dataset)
         #: The data set's name of an image, by its number in the submission.
         self.images = {number: image for image, number in self._numbers.items()}
         self._found: dict[int, Found] = {}
@@ -126,8 +127,8 @@ class Pairing:
             same = self._same(refs, answers, rows)
             assigned = assign_by_position(np.array(true), answers.poses[rows, :3, 3], same)
             found = [[rows[place] for place in places] for places in assigned]
-        if answers.scores is not None:
-            scores = answers.scores.tolist()
+        if answers.scores is not None and answers.ranks is None:
+            scores = np.nan_to_num(answers.scores, nan=-np.inf).tolist()
             for each in found:
                 each.sort(key=lambda row: -scores[row])
         return found
@@ -177,14 +178,16 @@ def _images(
     """The number of each of the data set's images in the submission, and what is amiss."""
     stored = submission.images
     known: dict[tuple[str, ...], str] = {}
+    # a form that names samples names images as the data set does
+    exact = all(image.answers.samples is not None for image in stored)
     for name in wanted:
-        if (key := _key(name)) in known:
+        if (key := (name,) if exact else _key(name)) in known:
             raise DataError(f"{dataset}: files cannot tell image {known[key]!r} from {name!r}")
         known[key] = name
     numbers: dict[str, int] = {}
     foreign, twice = [], []
     for number, image in enumerate(stored):
-        key = _key(image.name)
+        key = (image.name,) if exact else _key(image.name)
         found = next((known[key[i:]] for i in range(len(key)) if key[i:] in known), None)
         if found is None:
             foreign.append(image.name)
@@ -215,6 +218,23 @@ def _images(
             f" one of {dataset}'s, such as {_named(wanted)}"
         )
     return numbers, notes
+
+
+def _strangers(submission: Submission, dataset: Dataset) -> Sequence[str]:
+    """What is amiss with the samples that answers name."""
+    images = {ref.id: dataset.image(ref) for ref in dataset.samples}
+    strangers = [
+        sample
+        for image in submission.images
+        for sample in dict.fromkeys(image.answers.samples or ())
+        if images.get(sample) != image.name
+    ]
+    if not strangers:
+        return []
+    return [
+        f"{len(strangers)} samples of the file are not in {dataset.name}, or not in the image that"
+        f" it says, and do not count: {_named(strangers)}"
+    ]
 
 
 def _key(name: str) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_cpas.submissions import bop_csv, matrices, nocs, pickled
+from pytest_cpas.submissions import bop_csv, jsonl_reading, matrices, nocs, pickled
 from pytest_cpas.submissions.frames import Image, Objects, Submission
 from pytest_cpas.types import CATEGORIES, Array, DataError, Dataset
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
@@ -28,6 +28,9 @@ def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
     those of NOCS. Raises :class:`DataError` naming the file that is damaged or in no form that is
     known.
     """
+    # which says itself what its classes and axes are
+    if path.suffix == ".jsonl" or (os.path.isdir(path) and any(path.glob("*.jsonl"))):
+        return jsonl_reading.read(path)
     read = _read(path, dataset)
     if dataset is None:
         return read
@@ -47,7 +50,7 @@ def _read(path: Path, dataset: Dataset | None) -> Submission:
         if texts := [file for file in files if file.suffix == ".txt"]:
             return matrices.read(path, texts, dataset)
         raise DataError(
-            f"{path}: no .pkl or .txt files in this folder, which {_holds(path, files)}"
+            f"{path}: no .pkl, .jsonl or .txt files in this folder, which {_holds(path, files)}"
         )
     if path.suffix == ".csv":
         return bop_csv.read(path, dataset)
@@ -55,7 +58,7 @@ def _read(path: Path, dataset: Dataset | None) -> Submission:
         return nocs.read(path, classes)
     if path.suffix == ".pkl":
         return pickled.read(path, classes)
-    raise DataError(f"{path}: expected a .pkl, a folder of them, an .npz or a .csv")
+    raise DataError(f"{path}: expected a .pkl, an .npz, a .csv, a .jsonl, or a folder of files")
 
 
 def _in_our_axes(image: Image, axes: Array | None) -> Image:

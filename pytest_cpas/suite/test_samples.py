@@ -9,10 +9,10 @@ import pytest
 
 from pytest_cpas.checks.contract import CONTRACT, ContractCheck
 from pytest_cpas.checks.outcome import Outcome
-from pytest_cpas.evaluation import Run, SampleError
+from pytest_cpas.evaluation import ResultsError, Run, SampleError
 from pytest_cpas.session.collected import ItemResult
 from pytest_cpas.session.method_session import ITEM_RESULT, cpas_session, listing_problem
-from pytest_cpas.session.suite_session import grouped, known_failure, skip
+from pytest_cpas.session.suite_session import end_run, grouped, known_failure, skip
 from pytest_cpas.types import SampleRef
 
 
@@ -97,6 +97,8 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
         except SampleError as error:
             errors.append(error)
             result.errors.append((ref.id, str(error)))
+        except ResultsError as error:  # a disk does not take the answer
+            end_run(error)
     if len(errors) == 1 and errors[0].__cause__ is not None:
         raise errors[0]
     if errors:

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo
+from pytest_cpas.types import Array, Hypothesis, Mesh, MethodInfo, Prediction
 
 #: ShapeNet object coordinates -> NOCS object coordinates: y stays, NOCS x is ShapeNet -z
 #: (the quaternion (0, -1/sqrt 2, 0, 1/sqrt 2), scalar last).
@@ -44,3 +44,9 @@ def to_standard(hypothesis: Hypothesis, info: MethodInfo) -> Hypothesis:
         points=None if points is None else points @ axes,
         mesh=None if mesh is None else Mesh(mesh.vertices @ axes, mesh.triangles),
     )
+
+
+def standard_prediction(prediction: Prediction, info: MethodInfo) -> Prediction:
+    """A prediction with all its hypotheses as of :func:`to_standard`."""
+    hypotheses = tuple(to_standard(hypothesis, info) for hypothesis in prediction.hypotheses)
+    return Prediction(hypotheses, reason=prediction.reason)

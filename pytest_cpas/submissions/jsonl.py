@@ -1,0 +1,118 @@
+"""Our own form, JSON lines: a header, then a line for each sample, with all that a method gave.
+
+The first line of a ``.jsonl`` is the header:
+
+* ``format``: ``"cpas-predictions"``; ``version``: 1;
+* ``object_frame``: ``"shapenet"`` or ``"nocs"``, the axes of rotations, extents and shapes; camera
+  axes are OpenCV's;
+* ``gives``: which of ``"extents"``, ``"shape"`` and ``"score"`` every hypothesis has;
+* ``classes``: all categories, in the order of the class ids of other forms;
+* if they are known: ``method`` and ``dataset``, their names; ``samples``, how many the run had, so
+  that a file of a part of them says so; ``provenance``, texts by name.
+
+Every other line is about one sample:
+
+* ``sample``: its id in the data set; ``category``; ``image``: that it is in, as the data set names
+  it; ``box``: y1, x1, y2, x2 in pixels, which need not be there;
+* ``hypotheses``, the best first, whatever their scores: ``rotation`` 3 x 3, or its 9 numbers row by
+  row; ``translation``, 3 numbers, metres; ``extents``, 3 side lengths, metres; ``score``, larger is
+  surer; the shape in the object frame, metres, as ``points`` or as ``mesh`` with ``vertices`` and
+  ``triangles``;
+* or ``failure``: why there is no answer.
+
+Where the samples are not known, no line has ``sample``: each is a detection with a ``box`` and one
+hypothesis. Points, vertices and triangles are lists of rows of three, or the base64 of their
+little-endian numbers row by row under the name of their kind: ``{"float32": "..."}``, ``float64``,
+``int32``. Numbers are written so that they are read as what they were. A folder of such files, of
+the shards of one run, is read as one.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.types import Array, Prediction
+
+__all__ = ["FORMAT", "KINDS", "VERSION", "Header", "answer_line"]
+
+FORMAT, VERSION = "cpas-predictions", 1
+
+#: Numbers in base64, by the name of their kind.
+KINDS = {"float32": "<f4", "float64": "<f8", "int32": "<i4"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """The first line: see the module. ``samples``: None where it is not known."""
+
+    object_frame: Literal["shapenet", "nocs"]
+    gives: frozenset[Literal["extents", "shape", "score"]]
+    classes: Sequence[str]
+    method: str = ""
+    dataset: str = ""
+    samples: int | None = None
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def line(self) -> str:
+        """As it is written, without the end of the line."""
+        told: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+        for name in ("method", "dataset", "samples"):
+            if getattr(self, name):
+                told[name] = getattr(self, name)
+        told |= {"object_frame": self.object_frame, "gives": sorted(self.gives)}
+        told |= {"classes": list(self.classes), "provenance": dict(self.provenance)}
+        return _json(told)
+
+
+def answer_line(about: Mapping[str, str], prediction: Prediction, box: Array | None) -> str:
+    """The line of an answer, without its end.
+
+    ``about``: its ``category`` and ``image``, and ``sample``, its id, where it is known; ``box``
+    (4,): y1, x1, y2, x2 in pixels. The frames of the hypotheses are the header's.
+    """
+    told: dict[str, Any] = dict(about)
+    if box is not None:
+        told["box"] = box.tolist()
+    if not prediction.hypotheses:
+        return _json({**told, "failure": prediction.reason})
+    hypotheses = []
+    for hypothesis in prediction.hypotheses:
+        each: dict[str, Any] = {
+            "rotation": hypothesis.rotation.tolist(),
+            "translation": hypothesis.translation.tolist(),
+        }
+        if hypothesis.extents is not None:
+            each["extents"] = hypothesis.extents.tolist()
+        if hypothesis.score is not None:
+            each["score"] = hypothesis.score
+        if hypothesis.mesh is not None:
+            each["mesh"] = {
+                "vertices": _encoded(hypothesis.mesh.vertices),
+                "triangles": _packed("int32", hypothesis.mesh.triangles),
+            }
+        elif hypothesis.points is not None:
+            each["points"] = _encoded(hypothesis.points)
+        hypotheses.append(each)
+    return _json({**told, "hypotheses": hypotheses})
+
+
+def _json(value: Any) -> str:
+    # a lone surrogate, which no file in UTF-8 can hold, is an escape here
+    return json.dumps(value, separators=(",", ":"), allow_nan=False)
+
+
+def _encoded(values: Array) -> dict[str, str]:
+    """Coordinates in single precision if they were given in it, else in double."""
+    single = np.array_equal(values.astype(np.float32), values)
+    return _packed("float32" if single else "float64", values)
+
+
+def _packed(kind: str, values: NDArray[Any]) -> dict[str, str]:
+    return {kind: base64.b64encode(values.astype(KINDS[kind]).tobytes()).decode("ascii")}

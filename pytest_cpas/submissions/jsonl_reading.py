@@ -1,0 +1,403 @@
+"""Reading of :mod:`pytest_cpas.submissions.jsonl`: every line when a file is read, but that shapes
+are only checked then, and read again when they are asked for."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import os
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_cpas.reading.files import opened
+from pytest_cpas.reading.structured import LARGEST_JSON, json_value
+from pytest_cpas.submissions.frames import Answers, Image, Submission
+from pytest_cpas.submissions.jsonl import FORMAT, KINDS, VERSION, Header
+from pytest_cpas.types import Array, ContractError, DataError, Mesh, SampleRef, shown
+from pytest_cpas.types._arrays import frozen_array
+from pytest_cpas.types.names import checked_name, checked_text
+
+__all__ = ["read"]
+
+#: Largest file, bytes; hypotheses of a file, of a line, and detections in an image.
+LARGEST = 2**34
+MOST_HYPOTHESES = 1_000_000
+MOST_OF_LINE = 1000
+MOST_IN_IMAGE = 300
+
+_LARGEST_PIXEL = 1e9
+
+_PARTS = ("extents", "shape", "score")
+
+_LINE = {"sample", "category", "image", "box", "hypotheses", "failure"}
+
+_HYPOTHESIS = {"rotation", "translation", "extents", "score", "points", "mesh"}
+
+_SHAPES = {"points", "mesh"}
+
+
+class _Place(NamedTuple):
+    """Where a shape is: a line of a file, and the hypothesis in it."""
+
+    file: Path
+    offset: int
+    length: int
+    hypothesis: int
+
+
+class _Shapes(Sequence[Mesh | Array | None]):
+    """Shapes that are read when they are asked for: those of a data set fill more than memory."""
+
+    def __init__(self, places: Sequence[_Place | None]) -> None:
+        self._places = places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, index: int) -> Mesh | Array | None: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Mesh | Array | None]: ...
+    def __getitem__(
+        self, index: int | slice
+    ) -> Mesh | Array | Sequence[Mesh | Array | None] | None:
+        if isinstance(index, slice):
+            return _Shapes(self._places[index])
+        place = self._places[index]
+        if place is None:
+            return None
+        with opened(place.file, LARGEST) as file:
+            file.seek(place.offset)
+            line = file.read(place.length)
+        where = f"{place.file}, byte {place.offset}"
+        try:
+            told = json_value(where, line)["hypotheses"][place.hypothesis]
+            return _shape(told, where)
+        except (DataError, LookupError, TypeError) as error:
+            raise DataError(f"{where}: the file has changed since it was read ({error})") from None
+
+
+@dataclass
+class _Rows:
+    """The answers about an image, as they come."""
+
+    class_ids: list[int] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    extents: list[Array] = field(default_factory=list)
+    boxes: list[Array | None] = field(default_factory=list)
+    samples: list[str] = field(default_factory=list)
+    ranks: list[int] = field(default_factory=list)
+    scores: list[float] = field(default_factory=list)
+    places: list[_Place | None] = field(default_factory=list)
+    reasons: list[str | None] = field(default_factory=list)
+
+    def image(self, name: str, header: Header) -> Image:
+        boxes = [box for box in self.boxes if box is not None]
+        named = bool(self.samples)
+        return Image(
+            name=name,
+            answers=Answers(
+                class_ids=np.array(self.class_ids, dtype=np.int64),
+                poses=np.array(self.poses),
+                extents=np.array(self.extents) if "extents" in header.gives else None,
+                boxes=np.array(boxes) if len(boxes) == len(self.boxes) else None,
+                samples=self.samples if named else None,
+                ranks=np.array(self.ranks, dtype=np.int64) if named else None,
+                scores=np.array(self.scores) if "score" in header.gives else None,
+                shapes=_Shapes(self.places) if "shape" in header.gives else None,
+                reasons=self.reasons,
+            ),
+        )
+
+
+def read(path: Path) -> Submission:
+    """A file, or a folder of the files of one run's shards.
+
+    Raises :class:`DataError` naming the line that is damaged.
+    """
+    files = sorted(path.glob("*.jsonl")) if os.path.isdir(path) else [path]
+    first: Header | None = None
+    images: dict[str, _Rows] = defaultdict(_Rows)
+    seen: dict[str, str] = {}
+    counts = Counter[str]()
+    for file in files:
+        lines = _lines(file)
+        header = _header(*next(lines, (f"{file}, line 1", b"", 0)))
+        counts["samples"] += header.samples or 0
+        first = first or header
+        for name in ("method", "dataset", "object_frame", "gives", "classes"):
+            if getattr(header, name) != getattr(first, name):
+                raise DataError(
+                    f"{file}: {name} differs from that of {files[0]}, so they are not of one run;"
+                    " name one of them"
+                )
+        for where, content, offset in lines:
+            place = _Place(file, offset, len(content), 0)
+            _take(json_value(where, content), where, place, first, images, seen, counts)
+    if first is None:
+        raise DataError(f"{path}: no .jsonl files in this folder")
+    notes = []
+    if counts["lines"] < counts["samples"]:
+        notes.append(
+            f"the file has answers about {counts['lines']} of the {counts['samples']} samples of"
+            " its run, which was not finished, or had errors"
+        )
+    return Submission(
+        path=path,
+        form="JSON lines",
+        images=[rows.image(name, first) for name, rows in images.items()],
+        classes=first.classes,
+        object_frame=first.object_frame,
+        gives=first.gives,
+        notes=notes,
+        method=first.method,
+        dataset=first.dataset,
+        provenance=first.provenance,
+    )
+
+
+def _lines(file: Path) -> Iterator[tuple[str, bytes, int]]:
+    """Each line that is not empty: where it is in words, what it is, and its first byte."""
+    offset = number = 0
+    with opened(file, LARGEST) as content:
+        while line := content.readline(LARGEST_JSON + 2):
+            number += 1
+            where = f"{file}, line {number}"
+            if len(line) > LARGEST_JSON:
+                raise DataError(
+                    f"{where}: more than {LARGEST_JSON} bytes, at most as many are read"
+                )
+            if line.strip():
+                yield where, line, offset
+            offset += len(line)
+
+
+def _header(where: str, content: bytes, _: int) -> Header:
+    told = _table(json_value(where, content), where) if content else {}
+    if told.get("format") != FORMAT:
+        raise DataError(
+            f"{where}: expected the header of a file of --cpas-save-predictions, with"
+            f' "format": "{FORMAT}"'
+        )
+    if told.get("version") != VERSION:
+        raise DataError(
+            f"{where}: version {shown(told.get('version'))}, this version reads {VERSION}"
+        )
+    known = {"format", "version", *Header.__dataclass_fields__}
+    _check_keys(told, known, {"object_frame", "gives", "classes"}, where)
+    frame, gives, classes = told["object_frame"], told["gives"], told["classes"]
+    if frame not in ("shapenet", "nocs"):
+        raise DataError(f"{where}: object_frame is {shown(frame)}, expected shapenet or nocs")
+    if not isinstance(gives, list) or any(part not in _PARTS for part in gives):
+        raise DataError(f"{where}: gives is {shown(gives)}, expected some of {', '.join(_PARTS)}")
+    if not isinstance(classes, list) or not classes or len(classes) > MOST_OF_LINE:
+        raise DataError(f"{where}: classes is {shown(classes)}, expected a list of categories")
+    samples, provenance = told.get("samples"), told.get("provenance", {})
+    if samples is not None and (type(samples) is not int or not 0 <= samples < 2**31):
+        raise DataError(f"{where}: samples is {shown(samples)}, expected a count")
+    if not isinstance(provenance, dict) or not all(
+        isinstance(text, str) for text in provenance.values()
+    ):
+        raise DataError(f"{where}: provenance is {shown(provenance)}, expected texts by name")
+    try:
+        for name in classes:
+            SampleRef(id="any", category=checked_text("category", name), scene="")
+        if len(set(classes)) < len(classes):
+            raise DataError(f"classes has a category twice: {shown(classes)}")
+        names = {
+            key: checked_name(kind, told[key])
+            for key, kind in (("method", "method"), ("dataset", "data set"))
+            if key in told
+        }
+    except ContractError as error:
+        raise DataError(f"{where}: {error}") from None
+    return Header(
+        object_frame=frame,
+        gives=frozenset(gives),
+        classes=tuple(classes),
+        samples=samples,
+        provenance=provenance,
+        **names,
+    )
+
+
+def _take(
+    value: Any,
+    where: str,
+    place: _Place,
+    header: Header,
+    images: dict[str, _Rows],
+    seen: dict[str, str],
+    counts: Counter[str],
+) -> None:
+    """Take in a line; :class:`DataError` that begins with ``where``."""
+    told = _table(value, where)
+    _check_keys(told, _LINE, {"category", "image"}, where)
+    try:
+        texts = {
+            name: checked_text(name, told[name])
+            for name in ("sample", "category", "image")
+            if name in told
+        }
+    except ContractError as error:
+        raise DataError(f"{where}: {error}") from None
+    if texts["category"] not in header.classes:
+        raise DataError(
+            f"{where}: category {shown(texts['category'])} is none of the header's classes"
+        )
+    box = None
+    if told.get("box") is not None:
+        box = _numbers(told["box"], (4,), f"{where}: box")
+        if not (np.abs(box) <= _LARGEST_PIXEL).all():
+            raise DataError(f"{where}: box is {shown(told['box'])}, expected y1, x1, y2, x2")
+    reason, hypotheses = told.get("failure"), told.get("hypotheses")
+    _check_answer(reason, hypotheses, where)
+    rows = images[texts["image"]]
+    sample = texts.get("sample")
+    if sample is not None:
+        if sample in seen:
+            raise DataError(f"{where}: sample {sample} is in {seen[sample]} already; keep one")
+        seen[sample] = where
+    elif box is None or len(hypotheses or ()) > 1:
+        raise DataError(
+            f"{where}: names no sample; such a line is a detection, with a box and one hypothesis"
+        )
+    elif len(rows.class_ids) >= MOST_IN_IMAGE:
+        raise DataError(f"{where}: image {texts['image']} has more than {MOST_IN_IMAGE} detections")
+    if len(seen) not in (0, counts["lines"] + 1):
+        raise DataError(f"{where}: some lines name a sample and others do not; name all or none")
+    counts["lines"] += 1
+    counts["hypotheses"] += len(hypotheses or ())
+    if max(counts["hypotheses"], counts["lines"]) > MOST_HYPOTHESES:
+        raise DataError(
+            f"{where}: more than {MOST_HYPOTHESES} hypotheses; split the file by images"
+        )
+    for rank, each in enumerate(hypotheses or [None]):
+        rows.class_ids.append(header.classes.index(texts["category"]) + 1)
+        rows.boxes.append(box)
+        if sample is not None:
+            rows.samples.append(sample)
+        rows.ranks.append(rank)
+        rows.reasons.append(reason)
+        what = where if len(hypotheses or ()) < 2 else f"{where}, hypothesis {rank + 1}"
+        _take_hypothesis(rows, each, what, header)
+        shaped = each is not None and "shape" in header.gives
+        rows.places.append(place._replace(hypothesis=rank) if shaped else None)
+
+
+def _check_answer(reason: Any, hypotheses: Any, where: str) -> None:
+    if (reason is None) is (hypotheses is None):
+        raise DataError(f"{where}: expected either hypotheses or failure")
+    if reason is not None and (not isinstance(reason, str) or not reason):
+        raise DataError(f"{where}: failure is {shown(reason)}, expected the reason as text")
+    if reason is None and (
+        not isinstance(hypotheses, list) or not 1 <= len(hypotheses) <= MOST_OF_LINE
+    ):
+        raise DataError(
+            f"{where}: hypotheses is {shown(hypotheses)}, expected a list of 1 to {MOST_OF_LINE}"
+        )
+
+
+def _take_hypothesis(rows: _Rows, value: Any, where: str, header: Header) -> None:
+    """Take in a hypothesis, None for a failure. What is no number at all is an error here; a pose
+    that is not finite is a failed one, as in other forms."""
+    pose, extents, score = np.zeros((4, 4)), np.full(3, np.nan), math.nan
+    if value is not None:
+        told = _table(value, where)
+        _check_keys(told, _HYPOTHESIS, {"rotation", "translation"}, where)
+        has = {"extents", "score"} & told.keys() | ({"shape"} if told.keys() & _SHAPES else set())
+        if has != header.gives:
+            raise DataError(
+                f"{where}: it has {', '.join(sorted(has)) or 'a pose alone'}, but the header's"
+                f" gives is {sorted(header.gives)}"
+            )
+        pose[:3, :3] = _numbers(told["rotation"], (3, 3), f"{where}: rotation")
+        pose[:3, 3] = _numbers(told["translation"], (3,), f"{where}: translation")
+        pose[3, 3] = 1
+        if "extents" in has:
+            extents = _numbers(told["extents"], (3,), f"{where}: extents")
+        if "score" in has:
+            score = float(_numbers([told["score"]], (1,), f"{where}: score")[0])
+            if not math.isfinite(score):
+                raise DataError(f"{where}: score is {score}, expected a finite number")
+        if "shape" in has:
+            _shape(told, where)
+    rows.poses.append(pose)
+    rows.extents.append(extents)
+    rows.scores.append(score)
+
+
+def _shape(told: Mapping[str, Any], where: str) -> Mesh | Array:
+    """The shape of a hypothesis; :class:`DataError` for what is none."""
+    if told.keys() >= _SHAPES:
+        raise DataError(f"{where}: it has points and a mesh; give one of them")
+    try:
+        if "points" in told:
+            points = frozen_array(_array(told["points"], f"{where}: points"), (None, 3), "points")
+            if not len(points):
+                raise DataError("points: there are none")
+            return points
+        mesh = _table(told["mesh"], f"{where}: mesh")
+        _check_keys(mesh, {"vertices", "triangles"}, {"vertices", "triangles"}, f"{where}: mesh")
+        return Mesh(
+            _array(mesh["vertices"], f"{where}: vertices"),
+            _array(mesh["triangles"], f"{where}: triangles"),
+        )
+    except ContractError as error:
+        message = str(error)
+        raise DataError(message if message.startswith(where) else f"{where}: {message}") from None
+
+
+def _array(value: Any, where: str) -> NDArray[Any]:
+    """Rows of three numbers, as lists or in base64."""
+    if isinstance(value, list):
+        whole = all(isinstance(row, list) and all(type(n) is int for n in row) for row in value)
+        array = _numbers(value, (len(value), 3), where)
+        return array.astype(np.int64) if whole and (np.abs(array) < 2**53).all() else array
+    if isinstance(value, dict) and len(value) == 1:
+        [(kind, text)] = value.items()
+        if kind in KINDS and isinstance(text, str):
+            try:
+                content = base64.b64decode(text, validate=True)
+                return np.frombuffer(content, KINDS[kind]).reshape(-1, 3)
+            except (binascii.Error, ValueError) as error:
+                raise DataError(f"{where}: no rows of three {kind} in base64 ({error})") from None
+    raise DataError(
+        f"{where}: {shown(value)}, expected rows of three numbers, or their base64 such as"
+        f' {{"float32": "..."}}; kinds are {", ".join(KINDS)}'
+    )
+
+
+def _numbers(value: Any, shape: tuple[int, ...], where: str) -> Array:
+    """Numbers of JSON in this shape, or a flat list of them; they may be NaN."""
+    flat = value if isinstance(value, list) else [None]
+    if len(flat) == shape[0] and len(shape) > 1:
+        flat = [n for row in flat for n in (row if isinstance(row, list) else [None])]
+        fits = all(isinstance(row, list) and len(row) == shape[1] for row in value)
+    else:
+        fits = len(flat) == math.prod(shape)
+    if not fits or not all(type(n) is float or (type(n) is int and abs(n) < 2**62) for n in flat):
+        raise DataError(f"{where}: {shown(value)}, expected {' x '.join(map(str, shape))} numbers")
+    return np.array(flat, dtype=np.float64).reshape(shape)
+
+
+def _table(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise DataError(f"{where}: {shown(value)}, expected an object of JSON")
+    return value
+
+
+def _check_keys(told: Mapping[str, Any], known: set[str], needed: set[str], where: str) -> None:
+    if lacks := sorted(needed - told.keys()):
+        raise DataError(f"{where}: lacks {', '.join(lacks)}")
+    if strange := sorted(told.keys() - known):
+        raise DataError(
+            f"{where}: {shown(strange[0])} is not known; expected {', '.join(sorted(known))}"
+        )
