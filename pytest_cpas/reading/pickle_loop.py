@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from pytest_cpas.reading.pickle_arrays import Unfilled
 from pytest_cpas.reading.pickle_limits import MAX_MARKS, MAX_STEPS, Damaged, check_values
 from pytest_cpas.reading.pickle_machine import Machine
 from pytest_cpas.reading.pickle_opcodes import OPCODES, Opcode
+from pytest_cpas.reading.pickle_records import RECORD_OPCODES, RecordMachine
 from pytest_cpas.types import DataError
 
 
-def unpickle(content: bytes) -> Any:
-    """The value that a pickle holds; :class:`DataError` says at which byte what is wrong."""
-    machine = Machine(content)
+def unpickle(content: bytes, classes: Collection[str] = ()) -> Any:
+    """The value that a pickle holds; :class:`DataError` says at which byte what is wrong.
+
+    ``classes``: those, ``module.name``, whose objects it may hold, which become dicts.
+    """
+    machine = RecordMachine(content, classes) if classes else Machine(content)
     try:
-        value = carried_out(machine, OPCODES)
+        value = carried_out(machine, RECORD_OPCODES if classes else OPCODES)
         if machine.next != len(content):
             raise DataError(
                 f"it ends, and {len(content) - machine.next} bytes follow; expected one pickle in"

@@ -317,7 +317,8 @@ def _reduce(machine: Machine) -> None:
 
 
 @_opcode(b"b")
-def _build(machine: Machine) -> None:
+def build(machine: Machine) -> None:
+    """Give what arrays are made of its state; anything else is refused."""
     state, target = machine.pop_two()
     if type(target) is Dtype:
         target.build(state)

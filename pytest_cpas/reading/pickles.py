@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,11 @@ def load_numpy_pickle(path: Path) -> dict[str, Any]:
     return value
 
 
-def load_pickle(path: Path) -> Any:
+def load_pickle(path: Path, classes: Collection[str] = ()) -> Any:
     """Read a pickle of builtins and numpy arrays; nothing that it names is ever called.
+
+    ``classes``: those, ``module.name``, whose objects it may hold as well: each becomes a dict of
+    its fields, and so do ``OrderedDict`` and ``Counter`` where there are some.
 
     Arrays and scalars are of booleans, integers, floats and complex numbers of at most 64 bits a
     part, of text or of bytes; arrays of objects hold plain values. Arrays are read-only. Text of
@@ -34,6 +38,6 @@ def load_pickle(path: Path) -> Any:
     """
     content = read_bytes(path, MAX_FILE)
     try:
-        return unpickle(content)
+        return unpickle(content, classes)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.types import Array, Mesh
+from pytest_cpas.types import Array, Mesh, Symmetry
 
 __all__ = ["Answers", "Image", "Objects", "Submission", "Truths", "relative_extents"]
 
@@ -39,9 +39,11 @@ class Truths(Objects):
     """The objects that are in an image, as the file has it.
 
     ``visible_handles`` (n,): whether a mug's handle is seen; None where the file does not say.
+    ``symmetries`` (n,), None likewise: they are those of the category then.
     """
 
     visible_handles: NDArray[np.bool_] | None = None
+    symmetries: Sequence[Symmetry] | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

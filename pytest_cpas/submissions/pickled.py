@@ -9,16 +9,19 @@ from typing import Any
 from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_pickle
-from pytest_cpas.submissions import frame_lists, nocs
+from pytest_cpas.submissions import cutoop, frame_lists, nocs
 from pytest_cpas.submissions.frames import Image, Submission
-from pytest_cpas.types import DataError
+from pytest_cpas.types import CATEGORIES, DataError, Dataset
 
 __all__ = ["read", "read_folder"]
 
 
-def read(path: Path, classes: Sequence[str]) -> Submission:
+def read(path: Path, dataset: Dataset | None) -> Submission:
     """A pickle; :class:`DataError` naming the file whose content is in no form that is known."""
-    value = load_pickle(regular(path))
+    value = load_pickle(regular(path), cutoop.CLASSES)
+    classes = CATEGORIES if dataset is None else dataset.classes
+    if cutoop.is_match(value):
+        return cutoop.read(path, value, dataset)
     if isinstance(value, list):
         return frame_lists.read(path, value, classes)
     images = _images(path, nocs.image_name(path), value, classes)

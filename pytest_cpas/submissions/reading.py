@@ -57,7 +57,7 @@ def _read(path: Path, dataset: Dataset | None) -> Submission:
     if path.suffix == ".npz":
         return nocs.read(path, classes)
     if path.suffix == ".pkl":
-        return pickled.read(path, classes)
+        return pickled.read(path, dataset)
     raise DataError(f"{path}: expected a .pkl, an .npz, a .csv, a .jsonl, or a folder of files")
 
 

@@ -41,7 +41,7 @@ def truth_of(submission: Submission, truths: Truths, index: int) -> GroundTruth:
         return GroundTruth(
             pose=Pose(rotation, translation),
             extents=extents,
-            symmetry=symmetry_of(category),
+            symmetry=truths.symmetries[index] if truths.symmetries else symmetry_of(category),
             symmetry_in_view=symmetry_in_view(truths, index, category),
         )
     except ContractError as error:
@@ -63,6 +63,9 @@ def _digest(truths: Mapping[str, Truths | None]) -> str:
             for values in (objects.class_ids, objects.boxes, objects.poses, objects.extents):
                 if values is not None:
                     digest.update(np.ascontiguousarray(values).tobytes())
+            for symmetry in objects.symmetries or ():
+                axis = b"" if symmetry.axis is None else symmetry.axis.tobytes()
+                digest.update(symmetry.rotations.tobytes() + axis + bytes([symmetry.sphere]))
     return digest.hexdigest()
 
 

@@ -1,6 +1,7 @@
 """The same answers in every form that is read, as the code writes it that the forms are from."""
 
 import pickle
+from collections import Counter
 
 import numpy as np
 from PIL import Image
@@ -122,3 +123,35 @@ def matrices(folder, poses):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         np.savetxt(folder / name, pose)
     return folder
+
+
+def cutoop(path, made, scores=True, classes=None):
+    """A pickled DetectMatch, as GenPose++ writes it. ``classes``: kinds of its objects by name, or
+    None where it holds dicts."""
+    make = classes or dict.fromkeys(("DetectMatch", "SymLabel", "CameraIntrinsicsBase"), dict)
+    rows = [
+        (name, values, row)
+        for name, values in made.items()
+        for row in range(len(values["gt_class_ids"]))
+    ]
+    tags = {2: "any", 6: "none"}
+    camera = make["CameraIntrinsicsBase"](fx=1.0, fy=1.0, cx=0.0, cy=0.0, width=2, height=2)
+    symmetries = np.empty(len(rows), object)
+    for place, (_, values, row) in enumerate(rows):
+        about_y = tags[int(values["gt_class_ids"][row])]
+        symmetries[place] = make["SymLabel"](any=False, x="none", y=about_y, z="none")
+    sides = {}
+    for side in ("gt", "pred"):
+        pairs = [metric(values, side) for values in made.values()]
+        sides[f"{side}_affine"] = np.concatenate([poses for poses, _ in pairs])
+        sides[f"{side}_size"] = np.concatenate([sizes for _, sizes in pairs])
+    match = make["DetectMatch"](
+        **sides,
+        gt_sym_labels=symmetries,
+        gt_class_labels=np.concatenate([values["gt_class_ids"] for values in made.values()]),
+        image_path=[f"data/ROPE/{name}_color.png" for name, _, _ in rows],
+        camera_intrinsics=[camera] * len(rows),
+        detect_scores=np.concatenate([v["pred_scores"] for v in made.values()]) if scores else None,
+        gt_n_objects=Counter({2: 100}),
+    )
+    return dump(path, match)
