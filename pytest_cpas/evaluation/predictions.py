@@ -122,7 +122,9 @@ class StoredRun(Run):
             truth = self._dataset.truth(ref)
             if "shape" in self._known:
                 return self._in_view(ref, truth)
-            self._truths[ref.id] = self._in_view(ref, replace(truth, surface=None))
+            if truth.surface is not None:
+                truth = replace(truth, surface=None)
+            self._truths[ref.id] = self._in_view(ref, truth)
         return self._truths[ref.id]
 
     def ranking(self) -> Ranking | None:
@@ -301,4 +303,5 @@ class StoredRun(Run):
         truths = self._submission.images[number].truths
         if row is None or truths is None:
             return truth
-        return replace(truth, symmetry_in_view=symmetry_in_view(truths, row, ref.category))
+        symmetry = symmetry_in_view(truths, row, ref.category)
+        return truth if symmetry is None else replace(truth, symmetry_in_view=symmetry)

@@ -20,6 +20,9 @@ _HALF_TOLERANCE = 4e-3
 _ROUNDING = 1e-12
 
 
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+
+
 def in_half_precision(images: Iterable[Image]) -> bool:
     """Whether all poses that were answered are numbers of half precision (float16), whatever they
     are stored as. Poses of ones and zeros show nothing."""
@@ -77,7 +80,7 @@ def rigid(objects: Objects, index: int, *, half: bool = False) -> tuple[Array, A
     away. Raises :class:`pytest_cpas.types.ContractError` for what is no pose.
     """
     pose = frozen_array(objects.poses[index], (4, 4), "the pose")
-    if not np.allclose(pose[3], (0, 0, 0, 1), rtol=0, atol=1e-6):
+    if np.abs(pose[3] - _LAST_ROW).max() > 1e-6:
         raise DataError(
             f"the pose's last row is {pose[3].tolist()}, expected 0, 0, 0, 1; is it transposed?"
         )
