@@ -161,21 +161,32 @@ def _sides(values: Mapping[str, Any], where: str) -> Sequence[str]:
     return _SIDES
 
 
-def image_of(name: str, values: Mapping[str, Any], where: str, classes: Sequence[str]) -> Image:
-    """An image of a dict that has the keys; :class:`DataError` that begins with ``where``."""
-    sides = _sides(values, where)
-    arrays = _checked({s: values.get(s) for s in _SHAPES if s.split("_")[0] in sides}, where)
+def image_of(
+    name: str,
+    values: Mapping[str, Any],
+    where: str,
+    classes: Sequence[str],
+    *,
+    boxes: bool = True,
+) -> Image:
+    """An image of a dict that has the keys; :class:`DataError` that begins with ``where``.
+
+    ``boxes``: whether it has 2-D boxes that can be compared.
+    """
+    skipped = () if boxes else ("gt_bboxes", "pred_bboxes")
+    sides = _sides({**values, **dict.fromkeys(skipped)} if "gt_RTs" in values else values, where)
+    keys = [key for key in _SHAPES if key.split("_")[0] in sides and key not in skipped]
+    arrays = _checked({key: values.get(key) for key in keys}, where)
     objects: dict[str, Any] = {}
     for side in sides:
-        poses, sizes, boxes = (
-            arrays[f"{side}_{key}"].astype(np.float64) for key in ("RTs", "scales", "bboxes")
-        )
+        poses, sizes = (arrays[f"{side}_{key}"].astype(np.float64) for key in ("RTs", "scales"))
+        seen = arrays.get(f"{side}_bboxes")
         ids = check_class_ids(arrays[f"{side}_class_ids"], f"{where}: {side}_class_ids", classes)
         objects[side] = {
             "class_ids": ids,
             "poses": poses,
             "extents": relative_extents(poses, sizes),
-            "boxes": boxes,
+            "boxes": None if seen is None else seen.astype(np.float64),
         }
     scores, handles = arrays.get("pred_scores"), arrays.get("gt_handle_visibility")
     return Image(

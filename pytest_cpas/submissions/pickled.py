@@ -9,7 +9,7 @@ from typing import Any
 from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_pickle
-from pytest_cpas.submissions import cutoop, frame_lists, nocs
+from pytest_cpas.submissions import by_image, cutoop, frame_lists, nocs
 from pytest_cpas.submissions.frames import Image, Submission
 from pytest_cpas.types import CATEGORIES, DataError, Dataset
 
@@ -22,6 +22,8 @@ def read(path: Path, dataset: Dataset | None) -> Submission:
     classes = CATEGORIES if dataset is None else dataset.classes
     if cutoop.is_match(value):
         return cutoop.read(path, value, dataset)
+    if by_image.is_by_image(value):
+        return by_image.read(path, value, dataset)
     if isinstance(value, list):
         return frame_lists.read(path, value, classes)
     images = _images(path, nocs.image_name(path), value, classes)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_cpas.submissions import bop_csv, jsonl_reading, matrices, nocs, pickled
+from pytest_cpas.submissions import bop_csv, by_image, jsonl_reading, matrices, nocs, pickled
 from pytest_cpas.submissions.frames import Image, Objects, Submission
 from pytest_cpas.types import CATEGORIES, Array, DataError, Dataset
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
@@ -45,6 +45,8 @@ def _read(path: Path, dataset: Dataset | None) -> Submission:
     classes = CATEGORIES if dataset is None else dataset.classes
     if os.path.isdir(path):  # which takes names that are too long
         files = list(_files(path))
+        if any(path.glob(by_image.TRUTH)) and len(found := list(path.glob("*_pred.pkl"))) == 1:
+            return pickled.read(found[0], dataset)
         if pickles := [file for file in files if file.suffix == ".pkl"]:
             return pickled.read_folder(path, pickles, classes)
         if texts := [file for file in files if file.suffix == ".txt"]:

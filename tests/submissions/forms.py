@@ -1,7 +1,7 @@
 """The same answers in every form that is read, as the code writes it that the forms are from."""
 
 import pickle
-from collections import Counter
+from collections import Counter, OrderedDict
 
 import numpy as np
 from PIL import Image
@@ -155,3 +155,32 @@ def cutoop(path, made, scores=True, classes=None):
         gt_n_objects=Counter({2: 100}),
     )
     return dump(path, match)
+
+
+def catre(path, made):
+    """The dict of each step and image, as CATRE writes it; no truth, sizes in metres."""
+    steps = OrderedDict()
+    for step in range(3):
+        steps[f"iter{step}"] = {}
+        for name, values in made.items():
+            found = {k: v for k, v in values.items() if k.startswith("pred")}
+            found["pred_RTs"], found["pred_scales"] = metric(values, "pred")
+            found["pred_RTs"][:, 0, 3] += 0.1 * (2 - step)  # the last is the best
+            steps[f"iter{step}"][name] = found
+    return dump(path, steps, protocol=2)
+
+
+def pace(folder, made):
+    """PACE's pair of files: no boxes of detections, and those of the truth are x, y, w, h."""
+    found, truths = {}, {}
+    for name, values in made.items():
+        path = "test/{}/rgb/{}.png".format(*name.split("/"))
+        found[path] = {k: v for k, v in values.items() if k[:4] == "pred" and k[-6:] != "bboxes"}
+        truths[path] = {k: v for k, v in values.items() if k.startswith("gt")}
+        truths[path]["gt_RTs"], truths[path]["gt_scales"] = metric(values, "gt")
+        y1, x1, y2, x2 = truths[path]["gt_bboxes"].T
+        truths[path]["gt_bboxes"] = np.stack([x1, y1, x2 - x1, y2 - y1], axis=1)
+        truths[path] |= {"gt_segs": [[1.5, 2]], "image_path": path}
+    truths["test/9/rgb/9.png"] = {f"gt_{k}": [] for k in ("class_ids", "RTs", "scales", "bboxes")}
+    dump(folder / "catpose_gts_test.pkl", truths)
+    return dump(folder / "mine_pred.pkl", found)
