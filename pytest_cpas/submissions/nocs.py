@@ -3,9 +3,10 @@
 ``gt_class_ids`` (n,), ``gt_bboxes`` (n, 4), ``gt_RTs`` (n, 4, 4), ``gt_scales`` (n, 3) and
 ``pred_class_ids`` (m,), ``pred_bboxes`` (m, 4), ``pred_RTs`` (m, 4, 4), ``pred_scales`` (m, 3);
 ``pred_scores`` (m,) and ``gt_handle_visibility`` (n,) need not be there, or are None, nor the truth
-as a whole. Boxes are y1, x1, y2, x2 in pixels; poses are rotation times scale, metres; sizes are
-relative to that scale. The object axes are those of the poses that the data set publishes; without
-one they are NOCS's. Class ids count the data set's classes from 1. Read are
+as a whole, nor ``gt_bboxes`` beside a data set. Boxes are y1, x1, y2, x2 in pixels; poses are
+rotation times scale, metres; sizes are relative to that scale. The object axes are those of the
+poses that the data set publishes; without one they are NOCS's. Class ids count the data set's
+classes from 1. Read are
 
 * a pickle of one image, such as ``results_test_scene_S_NNNN.pkl`` of REAL275 and
   ``results_val_SSSSS_NNNN.pkl`` of CAMERA25;
@@ -152,11 +153,12 @@ def _read_npz(path: Path, classes: Sequence[str]) -> Iterator[Image]:
 
 
 def _sides(values: Mapping[str, Any], where: str) -> Sequence[str]:
-    """Whether there is truth beside the detections; :class:`DataError` for a part of it."""
+    """Whether there is truth beside the detections; :class:`DataError` for a part of it. Its 2-D
+    boxes may be those of the data set."""
     keys = {key for key in REQUIRED if key.startswith("gt")}
     if not keys & set(values):
         return _SIDES[1:]
-    if lacks := sorted(keys - set(values)):
+    if lacks := sorted(keys - {"gt_bboxes"} - set(values)):
         raise DataError(f"{where}: lacks {', '.join(lacks)}, which belong to its ground truth")
     return _SIDES
 
@@ -173,8 +175,10 @@ def image_of(
 
     ``boxes``: whether it has 2-D boxes that can be compared.
     """
-    skipped = () if boxes else ("gt_bboxes", "pred_bboxes")
-    sides = _sides({**values, **dict.fromkeys(skipped)} if "gt_RTs" in values else values, where)
+    skipped = set() if boxes else {"gt_bboxes", "pred_bboxes"}
+    if "gt_bboxes" not in values:
+        skipped.add("gt_bboxes")
+    sides = _sides(values, where)
     keys = [key for key in _SHAPES if key.split("_")[0] in sides and key not in skipped]
     arrays = _checked({key: values.get(key) for key in keys}, where)
     objects: dict[str, Any] = {}

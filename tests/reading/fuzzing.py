@@ -36,7 +36,9 @@ import numpy as np
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # when this is run as a script
+sys.path.insert(0, str(Path(__file__).parents[1] / "submissions"))
 
+import forms
 from older_tables import older_texts
 
 from pytest_cpas.types import Camera, ContractError
@@ -373,6 +375,54 @@ def judged(path: Path) -> None:
             pass
 
 
+def forms_with_truth() -> list[bytes]:
+    """A list of frames, and a DetectMatch as an object of its class."""
+    import pickle
+
+    made = forms.frames(("scene_1/0000", "scene_1/0001"))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "x.pkl")
+        listed = forms.listed(path, made).read_bytes()
+        match = pickle.dumps(pickle.loads(forms.cutoop(path, made).read_bytes()), 3)
+    return [listed, b"\x80\x03ccutoop.eval_utils\nDetectMatch\n)\x81" + match[2:-1] + b"b."]
+
+
+def forms_without_truth(kind: str) -> list[bytes]:
+    made = forms.frames(("scene_1/0000", "scene_1/0001"))
+    if kind == "catre":
+        with tempfile.TemporaryDirectory() as folder:
+            return [forms.catre(Path(folder, "x.pkl"), made).read_bytes()]
+    pose = np.diag([1.0, 1, 1, 1])
+    if kind == "bop":
+        with tempfile.TemporaryDirectory() as folder:
+            rows = [((1, 2, number), 0.5, pose) for number in (1, 7)]
+            return [forms.bop(Path(folder, "x.csv"), rows).read_bytes()]
+    return [saved(lambda file: np.savetxt(file, pose))]
+
+
+def answered(path: Path) -> None:
+    """Answers that are read beside a data set; a matrix lies in a folder of its own."""
+    from types import SimpleNamespace
+
+    from pytest_cpas.submissions import failures, order, read_submission
+
+    names = [f"obj_{number:06d}" for number in range(1, 8)]
+    known = dict.fromkeys(names, np.ones(3)) if path.suffix == ".csv" else {}
+    dataset = SimpleNamespace(name="x", classes=names, published_axes=None, published_centres=known)
+    if path.suffix == ".txt":
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder, path.name)
+            copy.write_bytes(path.read_bytes())
+            try:
+                read = read_submission(copy.parent, dataset)
+            except ContractError as error:
+                raise type(error)(str(error).replace(f"{copy}", f"{path}")) from None
+    else:
+        read = read_submission(path, dataset)
+    for image in read.images:
+        assert len(order(image.answers)) == len(failures(image.answers)) == len(image.answers)
+
+
 def results() -> list[bytes]:
     from pytest_cpas.evaluation.results import checksum_of
     from pytest_cpas.facts import fact
@@ -680,6 +730,13 @@ READERS: dict[str, Reader] = {
                              "pickle_loop.carried_out",
                              "pickle_limits.check_values")),
     "predictions": Reader(judged, predictions, ".npz", mutations=ARCHIVE),
+    "forms": Reader(judged, forms_with_truth, ".pkl",
+                    covers=("pickles.load_pickle", "pickle_opcodes.build")),
+    **{
+        kind: Reader(answered, lambda kind=kind: forms_without_truth(kind), suffix,
+                     mutations=() if kind == "catre" else TEXT)
+        for kind, suffix in (("catre", ".pkl"), ("bop", ".csv"), ("matrices", ".txt"))
+    },
     "results": Reader(merged, results, ".jsonl", mutations=(checksummed,) * 4),
     "golden": Reader(golden, goldens),
     "golden points": Reader(golden_points, points),

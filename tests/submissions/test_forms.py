@@ -79,6 +79,22 @@ def test_folder_without_predictions_says_what_is_there(empty, tmp_path):
         read_submission(tmp_path / "mine")
 
 
+@pytest.mark.parametrize("lacks", ["gt_bboxes", "gt_scales", "gt_RTs", "gt"])
+def test_truth_that_is_not_all_there(lacks, tmp_path, dataset, nocs):
+    made = {
+        name: {key: value for key, value in values.items() if not key.startswith(lacks)}
+        for name, values in forms.frames().items()
+    }
+    path = forms.nocs(tmp_path / "mine", made)
+    if lacks in ("gt_scales", "gt_RTs"):
+        with pytest.raises(DataError, match=rf"_0000\.pkl: lacks {lacks}, which belong to its gro"):
+            StoredRun(path, dataset=dataset)
+        return
+    boxes = {name: values["gt_bboxes"].astype(float) for name, values in forms.frames().items()}
+    dataset.box = lambda ref: boxes[dataset.image(ref)][int(ref.id[-1])]
+    same(StoredRun(path, dataset=dataset), StoredRun(nocs, dataset=dataset))
+
+
 # -- other classes and axes -----------------------------------------------------------------
 
 
