@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 import tempfile
@@ -64,6 +65,25 @@ def command_line() -> argparse.ArgumentParser:
     export.add_argument("results", type=Path, metavar="FILE", help="a file of --cpas-results")
     export.add_argument("--bop", type=Path, required=True, metavar="DIR", help="the data set")
     export.add_argument("--to", type=Path, required=True, metavar="CSV", help="what to write")
+    convert = commands.add_parser(
+        "convert",
+        help="write stored predictions in another form",
+        description="Read a file or folder of predictions in any form that --cpas-predictions"
+        " reads, and write it in the form that the name says: .jsonl (all that there is), .npz"
+        " (NOCS's arrays), .csv (BOP's table), else a folder of NOCS's pickles. What the form"
+        " cannot say is named, a line each. Nothing is overwritten.",
+    )
+    convert.add_argument("source", type=Path, metavar="IN", help="what to read")
+    convert.add_argument("target", type=Path, metavar="OUT", help="what to write")
+    convert.add_argument("--force", action="store_true", help="write over OUT if it is there")
+    convert.add_argument(
+        "--dataset",
+        metavar="NAME",
+        help="the data set that IN is about, where its form does not say its classes and axes",
+    )
+    convert.add_argument(
+        "--data", type=Path, metavar="DIR", help="folder that holds the data sets (or CPAS_DATA)"
+    )
     golden = commands.add_parser(
         "golden",
         help="what an update of golden tables changed",
@@ -140,6 +160,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fetch(options.name, options.to, options.yes)
     if options.command == "new-adapter":
         return _new_adapter(options)
+    if options.command == "convert":
+        return _convert(options)
     if options.command == "golden":
         return _golden_diff(options.golden, options.revision)
     return _export_bop(options)
@@ -233,6 +255,30 @@ def _export_bop(options: argparse.Namespace) -> int:
         say(f"pytest-cpas export-bop: {error}", file=sys.stderr)
         return 1
     say(f"{options.to}: {count} estimates")
+    return 0
+
+
+def _convert(options: argparse.Namespace) -> int:
+    from pytest_cpas import registry
+    from pytest_cpas.submissions import read_submission, write_submission
+    from pytest_cpas.types import ContractError
+
+    data = options.data or os.environ.get("CPAS_DATA")
+    try:
+        dataset = None
+        if options.dataset:
+            dataset = registry.open_dataset(options.dataset, Path(data) if data else None)
+        submission = read_submission(options.source, dataset)
+        lost = write_submission(submission, options.target, dataset=dataset, force=options.force)
+    except (registry.RegistryError, ContractError, OSError) as error:
+        say(f"pytest-cpas convert: {error}", file=sys.stderr)
+        return 1
+    count = sum(len(image.answers) for image in submission.images)
+    say(
+        f"{options.target}: from {count} answers about {len(submission.images)} images",
+        *(f"note: {note}" for note in submission.notes),
+        *(f"lost: {line}" for line in lost),
+    )
     return 0
 
 

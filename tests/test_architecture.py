@@ -29,7 +29,7 @@ ARROWS: Mapping[str, set[str]] = {
     "datasets": {"reading", "similarity", "types", "_files", "_open3d"},
     "facts": {"metrics", "types"},
     "protocols": {"facts", "metrics", "reading", "types"},
-    "submissions": {"datasets", "reading", "types"},
+    "submissions": {"datasets", "reading", "types", "_files"},
     "evaluation": {
         "submissions",
         "protocols",
@@ -98,6 +98,8 @@ ARROWS: Mapping[str, set[str]] = {
         "evaluation",
         "new_adapter",
         "reading",
+        "registry",
+        "submissions",
         "types",
     },
     # what it hands out is imported when it is asked for

@@ -10,11 +10,10 @@ from pytest_cpas.datasets.bop import find_models, find_split, object_number, rea
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.evaluation.results import ResultsError, read_results
 from pytest_cpas.evaluation.rows import Row
-from pytest_cpas.types import ContractError, DataError, Pose
+from pytest_cpas.submissions import BOP_HEADER, bop_line
+from pytest_cpas.types import ContractError, DataError, Hypothesis
 
 _SAMPLE = re.compile(r"([0-9]{1,9})/([0-9]{1,9})/[0-9]{1,9}")
-
-HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 
 
 def export_bop(results: Path, data: Path, target: Path) -> int:
@@ -29,7 +28,7 @@ def export_bop(results: Path, data: Path, target: Path) -> int:
     root, _ = find_split(data)
     models, _ = read_models(root / find_models(root))
     rows = [row for row in read.rows.values() if row.failure is None]
-    lines = [HEADER]
+    lines = [BOP_HEADER]
     estimates = decode_estimates([row.estimate for row in rows if row.estimate is not None])
     if not read.header.dataset.startswith("bop-") or len(estimates.rotation) != len(rows):
         raise ResultsError(
@@ -42,14 +41,12 @@ def export_bop(results: Path, data: Path, target: Path) -> int:
     ):
         try:
             scene, image, number = _place(row)
-            pose = Pose(rotation, translation)
+            estimate = Hypothesis(rotation=rotation, translation=translation)
         except ContractError as error:
             raise ResultsError(f"{results}: sample {row.sample[:80]!r}: {error}") from None
         if number not in models:
             raise ResultsError(f"{results}: {row.category} is not in the models of {root}")
-        origin = 1000 * (pose.translation - rotation @ models[number].centre)
-        r, t = (" ".join(f"{v:.9g}" for v in values) for values in (rotation.ravel(), origin))
-        lines.append(f"{scene},{image},{number},1,{r},{t},-1")
+        lines.append(bop_line((scene, image, number), estimate, models[number].centre))
     write_file(target, "\n".join(lines) + "\n", below=target.parent)
     return len(rows)
 

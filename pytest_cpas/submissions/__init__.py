@@ -2,14 +2,18 @@
 
 from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
 from pytest_cpas.submissions.audit import audit
+from pytest_cpas.submissions.bop_csv import HEADER as BOP_HEADER
+from pytest_cpas.submissions.bop_csv import line as bop_line
 from pytest_cpas.submissions.detections import DetectedDataset
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
 from pytest_cpas.submissions.jsonl import Header, answer_line
 from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.submissions.reading import read_submission
 from pytest_cpas.submissions.truth import OwnTruth, symmetry_in_view, truth_of
+from pytest_cpas.submissions.writing import write_submission
 
 __all__ = [
+    "BOP_HEADER",
     "Answers",
     "DetectedDataset",
     "Header",
@@ -20,6 +24,7 @@ __all__ = [
     "Truths",
     "answer_line",
     "audit",
+    "bop_line",
     "failures",
     "hypothesis",
     "in_half_precision",
@@ -27,4 +32,5 @@ __all__ = [
     "read_submission",
     "symmetry_in_view",
     "truth_of",
+    "write_submission",
 ]

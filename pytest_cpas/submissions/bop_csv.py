@@ -29,9 +29,9 @@ from pytest_cpas.reading.tables import csv_lines
 from pytest_cpas.reading.words import decimal
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.nocs import MOST_IMAGES, MOST_IN_IMAGE
-from pytest_cpas.types import Array, DataError, Dataset, shown
+from pytest_cpas.types import Array, DataError, Dataset, Hypothesis, shown
 
-__all__ = ["HEADER", "read"]
+__all__ = ["HEADER", "line", "read"]
 
 HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 
@@ -88,6 +88,19 @@ def read(path: Path, dataset: Dataset | None) -> Submission:
         gives=frozenset({"score"}),
         notes=[f"{far} rotations are none, by little: the nearest ones are judged"] if far else [],
     )
+
+
+def line(place: tuple[int, int, int], estimate: Hypothesis, centre: Array) -> str:
+    """The line of an estimate in the standard frames, without its end.
+
+    ``place``: scene, image and model; ``centre`` (3,): of the model, metres, in BOP's axes. The
+    time was not measured, and the score is 1 where there is none.
+    """
+    origin = 1000 * (estimate.translation - estimate.rotation @ centre)
+    values = estimate.rotation.ravel(), origin
+    score = 1 if estimate.score is None else estimate.score
+    r, t = (" ".join(f"{value:.9g}" for value in each) for each in values)
+    return f"{','.join(map(str, place))},{score!r},{r},{t},-1"
 
 
 def _take_nearest_rotations(poses: Array) -> int:

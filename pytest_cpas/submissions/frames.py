@@ -100,8 +100,8 @@ class Submission:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
     def category(self, class_id: int) -> str:
-        """The category of a class id."""
-        return self.classes[class_id - 1]
+        """The category of a class id; empty of 0, which is none."""
+        return self.classes[class_id - 1] if class_id else ""
 
 
 def relative_extents(poses: Array, sizes: Array) -> Array:

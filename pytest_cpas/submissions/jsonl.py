@@ -13,18 +13,18 @@ The first line of a ``.jsonl`` is the header:
 Every other line is about one sample:
 
 * ``sample``: its id in the data set; ``category``; ``image``: that it is in, as the data set names
-  it; ``box``: y1, x1, y2, x2 in pixels, which need not be there;
+  it; ``box``: y1, x1, y2, x2 in pixels. Category and box need not be there;
 * ``hypotheses``, the best first, whatever their scores: ``rotation`` 3 x 3, or its 9 numbers row by
   row; ``translation``, 3 numbers, metres; ``extents``, 3 side lengths, metres; ``score``, larger is
   surer; the shape in the object frame, metres, as ``points`` or as ``mesh`` with ``vertices`` and
   ``triangles``;
-* or ``failure``: why there is no answer.
+* or ``failure``: why there is no answer; ``score`` if it is a detection all the same.
 
-Where the samples are not known, no line has ``sample``: each is a detection with a ``box`` and one
-hypothesis. Points, vertices and triangles are lists of rows of three, or the base64 of their
-little-endian numbers row by row under the name of their kind: ``{"float32": "..."}``, ``float64``,
-``int32``. Numbers are written so that they are read as what they were. A folder of such files, of
-the shards of one run, is read as one.
+Where the samples are not known, no line has ``sample``: each is a detection with one hypothesis,
+which belongs to an object of its category by its ``box``, or by its position. Points, vertices and
+triangles are lists of rows of three, or the base64 of their little-endian numbers row by row under
+the name of their kind: ``{"float32": "..."}``, ``float64``, ``int32``. Numbers are written so that
+they are read as what they were. A folder of such files, of the shards of one run, is read as one.
 """
 
 from __future__ import annotations
@@ -71,16 +71,21 @@ class Header:
         return _json(told)
 
 
-def answer_line(about: Mapping[str, str], prediction: Prediction, box: Array | None) -> str:
+def answer_line(
+    about: Mapping[str, str], prediction: Prediction, box: Array | None, score: float | None = None
+) -> str:
     """The line of an answer, without its end.
 
-    ``about``: its ``category`` and ``image``, and ``sample``, its id, where it is known; ``box``
-    (4,): y1, x1, y2, x2 in pixels. The frames of the hypotheses are the header's.
+    ``about``: its ``image``, and its ``sample`` and ``category`` where they are known; ``box``
+    (4,): y1, x1, y2, x2 in pixels; ``score``: of a failure. The frames of the hypotheses are the
+    header's.
     """
     told: dict[str, Any] = dict(about)
     if box is not None:
         told["box"] = box.tolist()
     if not prediction.hypotheses:
+        if score is not None:
+            told["score"] = score
         return _json({**told, "failure": prediction.reason})
     hypotheses = []
     for hypothesis in prediction.hypotheses:

@@ -36,7 +36,7 @@ _LARGEST_PIXEL = 1e9
 
 _PARTS = ("extents", "shape", "score")
 
-_LINE = {"sample", "category", "image", "box", "hypotheses", "failure"}
+_LINE = {"sample", "category", "image", "box", "hypotheses", "failure", "score"}
 
 _HYPOTHESIS = {"rotation", "translation", "extents", "score", "points", "mesh"}
 
@@ -99,15 +99,20 @@ class _Rows:
     reasons: list[str | None] = field(default_factory=list)
 
     def image(self, name: str, header: Header) -> Image:
-        boxes = [box for box in self.boxes if box is not None]
         named = bool(self.samples)
+        lacking = sum(box is None for box in self.boxes)
+        # a sample that is named needs none
+        if lacking and not (named and lacking < len(self.boxes)):
+            boxes = None
+        else:
+            boxes = np.array([np.full(4, np.nan) if box is None else box for box in self.boxes])
         return Image(
             name=name,
             answers=Answers(
                 class_ids=np.array(self.class_ids, dtype=np.int64),
                 poses=np.array(self.poses),
                 extents=np.array(self.extents) if "extents" in header.gives else None,
-                boxes=np.array(boxes) if len(boxes) == len(self.boxes) else None,
+                boxes=boxes,
                 samples=self.samples if named else None,
                 ranks=np.array(self.ranks, dtype=np.int64) if named else None,
                 scores=np.array(self.scores) if "score" in header.gives else None,
@@ -239,7 +244,7 @@ def _take(
 ) -> None:
     """Take in a line; :class:`DataError` that begins with ``where``."""
     told = _table(value, where)
-    _check_keys(told, _LINE, {"category", "image"}, where)
+    _check_keys(told, _LINE, {"image"}, where)
     try:
         texts = {
             name: checked_text(name, told[name])
@@ -248,10 +253,9 @@ def _take(
         }
     except ContractError as error:
         raise DataError(f"{where}: {error}") from None
-    if texts["category"] not in header.classes:
-        raise DataError(
-            f"{where}: category {shown(texts['category'])} is none of the header's classes"
-        )
+    category = texts.get("category")
+    if category is not None and category not in header.classes:
+        raise DataError(f"{where}: category {shown(category)} is none of the header's classes")
     box = None
     if told.get("box") is not None:
         box = _numbers(told["box"], (4,), f"{where}: box")
@@ -265,10 +269,8 @@ def _take(
         if sample in seen:
             raise DataError(f"{where}: sample {sample} is in {seen[sample]} already; keep one")
         seen[sample] = where
-    elif box is None or len(hypotheses or ()) > 1:
-        raise DataError(
-            f"{where}: names no sample; such a line is a detection, with a box and one hypothesis"
-        )
+    elif len(hypotheses or ()) > 1:
+        raise DataError(f"{where}: names no sample; such a line has one hypothesis")
     elif len(rows.class_ids) >= MOST_IN_IMAGE:
         raise DataError(f"{where}: image {texts['image']} has more than {MOST_IN_IMAGE} detections")
     if len(seen) not in (0, counts["lines"] + 1):
@@ -280,7 +282,7 @@ def _take(
             f"{where}: more than {MOST_HYPOTHESES} hypotheses; split the file by images"
         )
     for rank, each in enumerate(hypotheses or [None]):
-        rows.class_ids.append(header.classes.index(texts["category"]) + 1)
+        rows.class_ids.append(0 if category is None else header.classes.index(category) + 1)
         rows.boxes.append(box)
         if sample is not None:
             rows.samples.append(sample)
@@ -288,6 +290,8 @@ def _take(
         rows.reasons.append(reason)
         what = where if len(hypotheses or ()) < 2 else f"{where}, hypothesis {rank + 1}"
         _take_hypothesis(rows, each, what, header)
+        if each is None and told.get("score") is not None:
+            rows.scores[-1] = _score(told, header, where)
         shaped = each is not None and "shape" in header.gives
         rows.places.append(place._replace(hypothesis=rank) if shaped else None)
 
@@ -324,14 +328,22 @@ def _take_hypothesis(rows: _Rows, value: Any, where: str, header: Header) -> Non
         if "extents" in has:
             extents = _numbers(told["extents"], (3,), f"{where}: extents")
         if "score" in has:
-            score = float(_numbers([told["score"]], (1,), f"{where}: score")[0])
-            if not math.isfinite(score):
-                raise DataError(f"{where}: score is {score}, expected a finite number")
+            score = _score(told, header, where)
         if "shape" in has:
             _shape(told, where)
     rows.poses.append(pose)
     rows.extents.append(extents)
     rows.scores.append(score)
+
+
+def _score(told: Mapping[str, Any], header: Header, where: str) -> float:
+    score = float(_numbers([told["score"]], (1,), f"{where}: score")[0])
+    if not math.isfinite(score) or "score" not in header.gives:
+        raise DataError(
+            f"{where}: score is {score}, expected a finite number, and none unless the header's"
+            " gives has it"
+        )
+    return score
 
 
 def _shape(told: Mapping[str, Any], where: str) -> Mesh | Array:
