@@ -28,6 +28,7 @@ _SELECTING = (*_METHOD, "--cpas-predictions", "--cpas-check-dataset")
 #: What does nothing unless one of others is given too. Settings that a project may keep for its own
 #: tests as well (data, weights, golden tables, device, seed) are not among them.
 NEEDS: Mapping[str, tuple[str, ...]] = {
+    "--cpas-detections": _METHOD,
     "--cpas-report": _RUN,
     "--cpas-results": _RUN,
     "--cpas-save-predictions": (*_METHOD, "--cpas-predictions"),

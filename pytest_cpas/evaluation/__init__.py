@@ -1,6 +1,7 @@
 """Method times data set gives rows, one per sample; rows give the table."""
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
+from pytest_cpas.evaluation.detected_runs import DetectedRun
 from pytest_cpas.evaluation.estimates import (
     Estimates,
     decode_estimates,
@@ -30,6 +31,7 @@ from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_se
 __all__ = [
     "Answer",
     "Answered",
+    "DetectedRun",
     "Estimates",
     "Header",
     "Limit",

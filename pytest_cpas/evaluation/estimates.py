@@ -69,6 +69,16 @@ def decode_estimates(texts: Sequence[str]) -> Estimates:
     return Estimates(rotation, values[:, 9:12], values[:, 12:])
 
 
+def decode_hypothesis(text: str) -> Hypothesis:
+    """The answer in a text of :func:`encode_estimate`; :class:`ValueError` for any other text."""
+    read = decode_estimates([text])
+    [rotation], [translation], [extents] = read.rotation, read.translation, read.extents
+    given = np.isfinite(extents).all()
+    return Hypothesis(
+        rotation=rotation, translation=translation, extents=extents if given else None
+    )
+
+
 def encode_shape(shape: Mesh | Array) -> str:
     """The text of at most :data:`SHAPE_POINTS` points of a shape; :func:`decode_shape` reads it.
 

@@ -12,8 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
@@ -27,7 +25,7 @@ from pytest_cpas.submissions import (
     failures,
     hypothesis,
     in_half_precision,
-    order,
+    names,
     read_submission,
     symmetry_in_view,
 )
@@ -127,7 +125,7 @@ class StoredRun(Run):
             self._truths[ref.id] = self._in_view(ref, truth)
         return self._truths[ref.id]
 
-    def ranking(self) -> Ranking | None:
+    def ranking(self, rows: Sequence[Row]) -> Ranking | None:
         """All detections of the images, ranked; None of a part of the samples, or without scores.
 
         A detection whose pose is none is never right.
@@ -148,21 +146,12 @@ class StoredRun(Run):
     def _detected(
         self, number: int, image: str, answers: Answers, scores: Array
     ) -> Iterator[Detected]:
-        """The answers about an image, whatever their order in the file: each is called by the
-        image, its category and its 2-D box in whole pixels, those that share all are numbered."""
-        called: Counter[str] = Counter()
-        for row in order(answers):
-            if np.isnan(scores[row]):
-                continue  # no detection, but a line that says that there is none
-            category = self._submission.category(int(answers.class_ids[row]))
-            own = f"{image}/{category}"
-            if answers.boxes is not None:
-                own += "/" + "_".join(f"{pixel:.0f}" for pixel in answers.boxes[row].tolist())
-            called[own] += 1
+        """The answers about an image, whatever their order in the file."""
+        for row, name in names(self._submission, image, answers):
             yield Detected(
-                name=own if called[own] == 1 else f"{own}+{called[own]}",
+                name=name,
                 image=image,
-                category=category,
+                category=self._submission.category(int(answers.class_ids[row])),
                 score=float(scores[row]),
                 hypothesis=self._ranked(number, row),
             )

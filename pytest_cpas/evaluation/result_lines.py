@@ -12,7 +12,7 @@ from dataclasses import fields
 from typing import Any, TypeVar
 
 from pytest_cpas.evaluation.estimates import decode_estimates, decode_shape
-from pytest_cpas.evaluation.rows import Answer, Row
+from pytest_cpas.evaluation.rows import Answer, Detection, Row
 from pytest_cpas.facts import fact
 from pytest_cpas.types import SampleRef, shown
 from pytest_cpas.types._arrays import MAX
@@ -31,7 +31,9 @@ __all__ = [
 
 _T = TypeVar("_T")
 
-_ROW = {field.name for field in fields(Row)} - {"sample", "category"}
+_ROW = {field.name for field in fields(Row)} - {"sample", "category", "detections"}
+
+_DETECTION = {field.name for field in fields(Detection)}
 
 _ANSWER = {field.name for field in fields(Answer)}
 
@@ -44,6 +46,9 @@ LARGEST_ERROR = 1e31
 #: Characters of a text: more than a run keeps of a reason, an exception or a message, each of which
 #: it shortens to thousands.
 LONGEST_TEXT = 2**20
+
+#: Detections that are ranked with a sample: no more are read of an image.
+MOST_DETECTIONS = 300
 
 _FIRST_LINE = ({"header", "format"},)
 _OTHER_LINES = (
@@ -101,14 +106,36 @@ def ref(value: Any) -> SampleRef:
 
 def row(sample: SampleRef, value: Any) -> Row:
     """The row of ``sample``."""
-    if not isinstance(value, dict) or value.keys() != _ROW:
+    if not isinstance(value, dict) or value.keys() - {"detections"} != _ROW:
         raise ValueError(f"row is {shown(value)}, expected {', '.join(sorted(_ROW))}")
     if value["shape"] is not None:
         _decoded("shape", value["shape"], decode_shape)
     if not isinstance(value["answers"], list) or not value["answers"]:
         raise ValueError(f"answers is {shown(value['answers'])}, expected one for each seed")
     answers = tuple(map(_answer, value["answers"]))
-    return Row(sample=sample.id, category=sample.category, answers=answers, shape=value["shape"])
+    found = value.get("detections", [])
+    if not isinstance(found, list) or len(found) > MOST_DETECTIONS:
+        raise ValueError(f"detections is {shown(found)}, expected at most {MOST_DETECTIONS}")
+    return Row(
+        sample=sample.id,
+        category=sample.category,
+        answers=answers,
+        shape=value["shape"],
+        detections=tuple(map(_detection, found)),
+    )
+
+
+def _detection(value: Any) -> Detection:
+    if not isinstance(value, dict) or value.keys() != _DETECTION:
+        raise ValueError(f"detection is {shown(value)}, expected {', '.join(sorted(_DETECTION))}")
+    for name in ("name", "image", "category"):
+        text(name, value[name])
+    score = value["score"]
+    if not isinstance(score, float) or not abs(score) <= MAX:
+        raise ValueError(f"score is {shown(score)}, expected a finite number")
+    if value["estimate"] is not None:
+        _decoded("estimate", value["estimate"], lambda told: decode_estimates([told]))
+    return Detection(**value)
 
 
 def check_row(row: Row, first: Row, seeds: int, defined: Collection[str]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from pytest_cpas.facts import Facts
 
-__all__ = ["Answer", "Answered", "Row"]
+__all__ = ["Answer", "Answered", "Detection", "Row"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,25 +44,44 @@ class Answered:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Detection:
+    """What a detector found and a method was asked about: what it is called among all detections,
+    its image and category, how sure the detector is, and the first seed's answer, as of
+    :func:`~pytest_cpas.evaluation.encode_estimate`; None where there is none."""
+
+    name: str
+    image: str
+    category: str
+    score: float
+    estimate: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Row(Answered):
     """The answers for one sample, one per seed; the first is that of the run's own seed.
 
     ``shape``: the first one's shape for a picture, as of
-    :func:`~pytest_cpas.evaluation.encode_shape`.
+    :func:`~pytest_cpas.evaluation.encode_shape`. ``detections``: those of its image that are ranked
+    with it, where the method sees objects through the masks of a detector.
     """
 
     sample: str
     shape: str | None = None
+    detections: tuple[Detection, ...] = ()
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Row:
         """From the plain values of :meth:`plain`."""
         answers = tuple(Answer(**answer) for answer in values["answers"])
-        return cls(**{**values, "answers": answers})
+        detections = tuple(Detection(**found) for found in values.get("detections", ()))
+        return cls(**{**values, "answers": answers, "detections": detections})
 
     def plain(self) -> dict[str, Any]:
         """As values of JSON, but for infinite facts."""
-        return asdict(self)
+        values = asdict(self)
+        if not self.detections:
+            del values["detections"]
+        return values
 
     @property
     def estimate(self) -> str | None:

@@ -184,9 +184,9 @@ class Run(ABC):
         """The truth about one sample; None where only its row is left."""
         return None
 
-    def ranking(self) -> Ranking | None:
+    def ranking(self, rows: Sequence[Row]) -> Ranking | None:
         """The detections of the whole data set, ranked for the protocols that ask for it; None
-        where what is judged are no detections."""
+        where what is judged are no detections, or not all of them. ``rows``: those of the run."""
         return None
 
 

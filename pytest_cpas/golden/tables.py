@@ -132,7 +132,7 @@ class RunTable:
             samples=table_samples(run.protocols, answers),
             listed=run.listed,
             seeds=run.seeds,
-            ranking=run.ranking() if ranking_columns(run.protocols) else None,
+            ranking=run.ranking(rows) if ranking_columns(run.protocols) else None,
             scenes={ref.id: ref.scene for ref in run.samples},
         )
 

@@ -34,8 +34,8 @@ def lacking(table: RunTable) -> list[str]:
     if table.ranking is None and table.ranking_columns:
         keys = [column.key for column in table.ranking_columns]
         lines.append(
-            f"{_named(keys)} rank all detections of an image, which only stored"
-            " predictions can have (--cpas-predictions)"
+            f"{_named(keys)} rank all detections of the images, which stored predictions"
+            " (--cpas-predictions) and a detector (--cpas-detections) have, of all samples"
         )
     return lines
 

@@ -5,6 +5,7 @@ All of it before anything is collected, so that a mistake costs no time.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from pytest_cpas import registry
 from pytest_cpas.datasets.perturbed import perturbed
 from pytest_cpas.documents import RunConditions, RunDocument
 from pytest_cpas.evaluation import (
+    DetectedRun,
     MergedRun,
     MethodRun,
     ResultsError,
@@ -182,9 +184,12 @@ def _method_runs(
     """The run of a method on a data set; with a profile, one for each part that this makes."""
     runs: list[MethodRun] = []
     for part in perturbed(dataset, method.info) if options.robustness else (dataset,):
-        run = MethodRun(
-            method,
-            part,
+        make = (
+            functools.partial(DetectedRun, method, part)
+            if isinstance(part, DetectedDataset)
+            else functools.partial(MethodRun, method, part)
+        )
+        run = make(
             made_by=made_by,
             weights=options.weights,
             device=options.device,

@@ -1,10 +1,10 @@
 """Files of predictions in the forms that the field writes, beside the truth that they answer."""
 
-from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
+from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, names, order
 from pytest_cpas.submissions.audit import audit
 from pytest_cpas.submissions.bop_csv import HEADER as BOP_HEADER
 from pytest_cpas.submissions.bop_csv import line as bop_line
-from pytest_cpas.submissions.detections import DetectedDataset
+from pytest_cpas.submissions.detections import DetectedDataset, Found
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
 from pytest_cpas.submissions.jsonl import Header, answer_line
 from pytest_cpas.submissions.pairing import Pairing
@@ -16,6 +16,7 @@ __all__ = [
     "BOP_HEADER",
     "Answers",
     "DetectedDataset",
+    "Found",
     "Header",
     "Image",
     "OwnTruth",
@@ -28,6 +29,7 @@ __all__ = [
     "failures",
     "hypothesis",
     "in_half_precision",
+    "names",
     "order",
     "read_submission",
     "symmetry_in_view",

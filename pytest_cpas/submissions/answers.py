@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from pytest_cpas.submissions.frames import Answers, Image, Objects
+from pytest_cpas.submissions.frames import Answers, Image, Objects, Submission
 from pytest_cpas.types import AnswerError, Array, ContractError, DataError, Hypothesis, Mesh
 from pytest_cpas.types._arrays import frozen_array
 
-__all__ = ["failures", "hypothesis", "in_half_precision", "order", "rigid"]
+__all__ = ["failures", "hypothesis", "in_half_precision", "names", "order", "rigid"]
 
 #: Largest entry of ``R @ R.T - I`` of a rotation whose entries were rounded to half precision: of
 #: relative errors of 2 ** -11 each, of the sums of three squares and of the scale.
@@ -50,6 +51,21 @@ def order(answers: Answers) -> list[int]:
         columns.insert(0, answers.ranks)
     rows: list[int] = np.lexsort(columns[::-1]).tolist()
     return rows
+
+
+def names(submission: Submission, image: str, answers: Answers) -> Iterator[tuple[int, str]]:
+    """The rows of an image's answers in :func:`order`, and what each is called: by the image, its
+    category and its 2-D box in whole pixels; those that share all of it are numbered. What has no
+    score among others that have is no answer."""
+    called: Counter[str] = Counter()
+    for row in order(answers):
+        if answers.scores is not None and np.isnan(answers.scores[row]):
+            continue  # no detection, but a line that says that there is none
+        own = f"{image}/{submission.category(int(answers.class_ids[row]))}"
+        if answers.boxes is not None:
+            own += "/" + "_".join(f"{pixel:.0f}" for pixel in answers.boxes[row].tolist())
+        called[own] += 1
+        yield row, own if called[own] == 1 else f"{own}+{called[own]}"
 
 
 def failures(answers: Answers) -> list[str | None]:

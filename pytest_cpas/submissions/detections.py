@@ -13,13 +13,14 @@ import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.pickles import load_numpy_pickle
+from pytest_cpas.submissions.answers import names
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.nocs import check_boxes, check_class_ids
 from pytest_cpas.submissions.pairing import Pairing
@@ -27,13 +28,24 @@ from pytest_cpas.types import DataError, Dataset, Observation, Sample, SampleRef
 from pytest_cpas.types.datasets import WrappedDataset
 from pytest_cpas.types.names import checked_name
 
-__all__ = ["DetectedDataset"]
+__all__ = ["DetectedDataset", "Found"]
 
 #: The arrays of an image, and their dimensions.
 _ARRAYS = {"rois": 2, "class_ids": 1, "scores": 1, "masks": 3}
 
 #: Images of a folder, and detections in one.
 _MOST_IMAGES, _MOST_IN_IMAGE = 100_000, 300
+
+
+class Found(NamedTuple):
+    """A detection: what it is called among all, its image and category, how sure the detector is;
+    and its row in the file of its image."""
+
+    name: str
+    image: str
+    category: str
+    score: float
+    row: int
 
 
 class DetectedDataset(WrappedDataset):
@@ -82,30 +94,62 @@ class DetectedDataset(WrappedDataset):
             return "whose image is not among the detections"
         return None if self._pairing.found(number).answers[ref.id] else "not detected"
 
-    def load(self, ref: SampleRef) -> Sample:
-        """Read one sample; its mask is the detector's. Raises :class:`DataError` without one."""
-        if reason := self.unseen(ref):
-            raise DataError(f"{ref.id}: {reason}")
+    def ranked_with(self, ref: SampleRef) -> list[Found]:
+        """The detections that are ranked with a sample, the one that it is seen by first: all that
+        are assigned to it and, with the first sample of an image, those of no object."""
         number = self._pairing.number(ref)
-        assert number is not None  # noqa: S101 - it is seen
-        row = self._pairing.found(number).answers[ref.id][0]
+        if number is None:
+            return []
+        assigned = self._pairing.found(number).answers
+        taken = {row for rows in assigned.values() for row in rows}
+        wanted = set(assigned[ref.id])
+        answers = self._detections.images[number].answers
+        scores = np.zeros(0) if answers.scores is None else answers.scores
+        if ref == self._pairing.refs(number)[0]:
+            wanted |= set(range(len(answers))) - taken
+        image = self._pairing.images[number]
+        found = [
+            Found(
+                name=name,
+                image=image,
+                category=self._detections.category(int(answers.class_ids[row])),
+                score=float(scores[row]),
+                row=row,
+            )
+            for row, name in names(self._detections, image, answers)
+            if row in wanted
+        ]
+        return sorted(found, key=lambda each: each.row != next(iter(assigned[ref.id]), None))
+
+    def observe(self, ref: SampleRef, found: Found) -> Observation | None:
+        """What a method sees of a detection in the image of a sample; None of a mask without a
+        pixel. Raises :class:`DataError` naming the file that is damaged."""
+        number = self._pairing.number(ref)
+        if number is None:
+            raise DataError(f"{ref.id}: its image is not among the detections")
         file = self._files[number]
         masks = self._read(file, self.classes)["masks"]
-        sample = self._dataset.load(ref)
-        seen = sample.observation
+        seen = self._dataset.load(ref).observation
         if masks.shape[:2] != seen.mask.shape:
             raise DataError(
                 f"{file}: masks of {masks.shape[1]} x {masks.shape[0]}, but the image is"
                 f" {seen.mask.shape[1]} x {seen.mask.shape[0]}"
             )
-        observation = Observation(
-            category=seen.category,
-            rgb=seen.rgb,
-            depth=seen.depth,
-            mask=np.ascontiguousarray(masks[:, :, row] != 0),
-            camera=seen.camera,
+        mask = np.ascontiguousarray(masks[:, :, found.row] != 0)
+        if not mask.any():
+            return None
+        return Observation(
+            category=found.category, rgb=seen.rgb, depth=seen.depth, mask=mask, camera=seen.camera
         )
-        return Sample(ref, observation, sample.truth)
+
+    def load(self, ref: SampleRef) -> Sample:
+        """Read one sample; its mask is the detector's. Raises :class:`DataError` without one."""
+        if reason := self.unseen(ref):
+            raise DataError(f"{ref.id}: {reason}")
+        observation = self.observe(ref, self.ranked_with(ref)[0])
+        if observation is None:
+            raise DataError(f"{ref.id}: the mask of its detection has no pixel")
+        return Sample(ref, observation, self._dataset.truth(ref))
 
 
 def _files(folder: Path) -> list[Path]:

@@ -1,5 +1,6 @@
 """Methods that see objects through the masks of a detector."""
 
+import json
 import os
 import pickle
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 import tiny
 
-from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.evaluation import DetectedRun, MethodRun, Row, result_lines
+from pytest_cpas.golden import RunTable
 from pytest_cpas.protocols import shipped_protocol
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.submissions import DetectedDataset
@@ -44,7 +46,7 @@ def wrote(folder, **special):
 
 
 class Seeing:
-    """Answers rightly, and remembers the masks that it was given."""
+    """Answers rightly, but for what is in the corner, and remembers the masks that it was given."""
 
     info = MethodInfo(
         name="seeing",
@@ -61,11 +63,13 @@ class Seeing:
         answers = []
         for seen in batch:
             index = round(float(seen.rgb[0, 0, 0]) * 255)
-            self.masks[index] = seen.mask.copy()
+            self.masks.setdefault((index, seen.category), []).append(seen.mask.copy())
             truth = tiny.truth(index)
-            pose = truth.pose
+            pose, aside = truth.pose, [0, float(seen.mask[0, 0]), 0]
             answer = Hypothesis(
-                rotation=pose.rotation, translation=pose.translation, extents=truth.extents
+                rotation=pose.rotation,
+                translation=pose.translation + aside,
+                extents=truth.extents,
             )
             answers.append(Prediction((answer,)))
         return answers
@@ -73,7 +77,7 @@ class Seeing:
 
 def judged(folder, **options):
     method = Seeing()
-    run = MethodRun(method, DetectedDataset(tiny.Tiny(None), folder), **options)
+    run = DetectedRun(method, DetectedDataset(tiny.Tiny(None), folder), **options)
     return run, method, {ref.id: run.judge(ref) for ref in run.samples}
 
 
@@ -82,7 +86,7 @@ def test_masks_are_the_detectors(tmp_path):
     assert len(rows) == tiny.COUNT
     assert all(row.failure is None for row in rows.values())
     expected = detections("mug")["masks"][:, :, 0]
-    assert all(np.array_equal(mask, expected) for mask in method.masks.values())
+    assert all(np.array_equal(mask, expected) for [mask] in method.masks.values())
     assert run.dataset == "tiny+detections"
     assert run.identity["data"] != MethodRun(Seeing(), tiny.Tiny(None)).identity["data"]
 
@@ -92,7 +96,7 @@ def test_surest_of_several_counts(tmp_path):
     for scores, rows in (((0.9, 0.3), 1), ((0.3, 0.9), 2)):
         folder = wrote(tmp_path / "d", at1=detections("mug", boxes, scores))
         _, method, _ = judged(folder)
-        assert method.masks[1].sum() == 3 * rows
+        assert [mask.sum() for mask in method.masks[1, "mug"]] == [3 * rows, 3 * (3 - rows)]
 
 
 @pytest.mark.parametrize(
@@ -112,11 +116,79 @@ def test_what_is_not_detected_counts_as_not_correct(tmp_path, special, reason):
     [row] = failed.values()
     assert row.failure == reason
     assert len(row.answers) == 2
-    assert 1 not in method.masks, "it is not asked"
+    asked = special is not None and CLASSES["mug"] in special["class_ids"]
+    assert ((1, "mug") in method.masks) == asked, "about a detection of nothing, not the sample"
     other = rows["scene_0/0000"].facts
     assert {k for k, v in row.facts.items() if v is None} == {
         k for k, v in other.items() if v is None
     }
+
+
+NOCS = [shipped_protocol(name) for name in ("cpas", "nocs")]
+
+
+def plain(row):
+    values = json.loads(json.dumps(row.plain()))
+    return {name: value for name, value in values.items() if name not in ("sample", "category")}
+
+
+def precisions(folder):
+    run, method, rows = judged(folder, protocols=NOCS)
+    # as they go through results files
+    kept = [result_lines.row(ref, plain(rows[ref.id])) for ref in run.samples]
+    assert [*rows.values()] == kept == [Row.of(row.plain()) for row in kept]
+    table = RunTable.of(run, kept)
+    assert table.ranking is not None
+    return method, {
+        category: cells["nocs.ap_oriented_iou_50"].value
+        for category, cells in table.scores.items()
+        if cells
+    }
+
+
+def test_all_detections_are_ranked(tmp_path):
+    _, sound = precisions(wrote(tmp_path / "d"))
+    assert sound == {"bowl": 1, "mug": 1, "all": 1}
+    # a mug that nobody sees, surer than all others: right at recalls 1/6, ... with one wrong before
+    extra = detections("mug", ((2, 3, 4, 6), (0, 0, 2, 2)), (0.9, 0.99))
+    method, one = precisions(wrote(tmp_path / "d", at1=extra))
+    assert one["bowl"] == 1
+    assert one["mug"] == pytest.approx(6 / 7)
+    assert sorted(map(len, method.masks.values())) == [1] * (tiny.COUNT - 1) + [2]
+    # less sure than all others: nothing is lost
+    extra = detections("mug", ((2, 3, 4, 6), (0, 0, 2, 2)), (0.9, 0.1))
+    assert precisions(wrote(tmp_path / "d", at1=extra))[1] == sound
+    # another class in the place of the mug: one of six is not found, and a bowl is wrong
+    _, other = precisions(wrote(tmp_path / "d", at1=detections("bowl", scores=(0.1,))))
+    assert other["mug"] == pytest.approx(5 / 6)
+    assert other["bowl"] == 1
+
+
+def test_a_part_is_not_ranked(tmp_path):
+    run, _, rows = judged(wrote(tmp_path / "d"), protocols=NOCS)
+    assert run.ranking([*rows.values()][1:]) is None
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        ("x", "detections is 'x'"),
+        ([{}], "detection is {}"),
+        ([{"score": float("nan")}], "score is nan"),
+        ([{"score": 1}], "score is 1"),
+        ([{"name": 3}], "name is 3"),
+        ([{"estimate": "AAAA"}], "estimate is 'AAAA'"),
+    ],
+)
+def test_detections_of_rows_are_checked(tmp_path, found, words):
+    run, _, rows = judged(wrote(tmp_path / "d"))
+    ref = run.samples[0]
+    values = plain(rows[ref.id])
+    [whole] = values["detections"]
+    if isinstance(found, list) and found[0]:
+        found = [whole | found[0]]
+    with pytest.raises(ValueError, match=words):
+        result_lines.row(ref, values | {"detections": found})
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,89 @@
+"""A method on what a detector has found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from pytest_cpas.evaluation.estimates import decode_hypothesis
+from pytest_cpas.evaluation.method_runs import MethodError, MethodRun
+from pytest_cpas.evaluation.rows import Answer, Detection, Row
+from pytest_cpas.evaluation.runs import SampleError
+from pytest_cpas.facts import Detected, pair_table
+from pytest_cpas.protocols import Ranking, facts_of, rank, ranking_columns
+from pytest_cpas.submissions import DetectedDataset, Found
+from pytest_cpas.types import DataError, Method, Sample, SampleRef
+
+__all__ = ["DetectedRun"]
+
+
+class DetectedRun(MethodRun):
+    """A method that sees objects through the masks of a detector, as the literature runs it.
+
+    It is asked about every detection of the images, so that those can be ranked.
+    """
+
+    def __init__(self, method: Method, dataset: DetectedDataset, **options: Any) -> None:
+        """As :class:`MethodRun`."""
+        super().__init__(method, dataset, **options)
+        self._detected = dataset
+
+    def judge(self, ref: SampleRef) -> Row:
+        """The row of a sample, with the detections that are ranked with it."""
+        row = super().judge(ref)
+        own = None if row.failure is not None and row.estimate is None else row.answers[0]
+        seen = self._detected.unseen(ref) is None
+        where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
+        detections = []
+        for index, found in enumerate(self._detected.ranked_with(ref)):
+            if found.category in self._method.info.categories:
+                answer = own if seen and index == 0 else self._answer_about(ref, found, where)
+                detections.append(
+                    Detection(
+                        name=found.name,
+                        image=found.image,
+                        category=found.category,
+                        score=found.score,
+                        estimate=None if answer is None else answer.estimate,
+                    )
+                )
+        return replace(row, detections=tuple(detections))
+
+    def _answer_about(self, ref: SampleRef, found: Found, where: str) -> Answer | None:
+        """The answer about a further detection; None where its mask has no pixel."""
+        where = f"{where}, detection {found.name}"
+        try:
+            observation = self._detected.observe(ref, found)
+            if observation is None:
+                return None
+            sample = Sample(ref, observation, self.truth(ref))
+            return self._answer(self.loaded(), ref, sample, self.seed, where)[0]
+        except DataError as error:
+            raise SampleError(f"{where}: the data is bad: {error}") from None
+        except MethodError as error:
+            raise SampleError(f"{where}: {error}") from None
+
+    def ranking(self, rows: Sequence[Row]) -> Ranking | None:
+        """The detections of all images, ranked; None of a part of the samples.
+
+        The estimates are in single precision, and have no shapes.
+        """
+        if not len(rows) == len(self.samples) == sum(self.listed.values()):
+            return None
+        columns = ranking_columns(self.protocols)
+        detected = [
+            Detected(
+                name=found.name,
+                image=found.image,
+                category=found.category,
+                score=found.score,
+                hypothesis=None if found.estimate is None else decode_hypothesis(found.estimate),
+            )
+            for row in rows
+            for found in row.detections
+        ]
+        image = self._detected.image
+        truths = [(image(ref), ref.category, self.truth(ref)) for ref in self.samples]
+        gives = self._method.info.gives - {"shape"}
+        return rank(columns, pair_table(facts_of(columns), detected, truths, gives))
