@@ -87,7 +87,7 @@ def test_dualposenet_is_printed_as_its_predictions_are_judged(test_data):
     path = test_data / "predictions" / "dualposenet_real275.npz"
     protocol = shipped_protocol(LEGACY)
     run = StoredRun(path, protocols=(protocol,))
-    judged = ranking_table(protocol.rankings, run.ranking())[ALL]
+    judged = ranking_table(protocol.rankings, run.ranking(()))[ALL]
     (row,) = (row for row in literature("real275") if row.method == "dualposenet")
     assert len(row.percent) == 6
     ours = {key.removeprefix(f"{LEGACY}."): score.value for key, score in judged.items()}
