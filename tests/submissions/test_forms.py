@@ -161,7 +161,7 @@ def test_order_of_a_list_without_names_is_checked(kind, tmp_path, dataset, nocs)
         names = sorted(names, key=lambda name: [str(number) for number in order(name)])
         assert [n[-4:] for n in names] == ["0000", "0001", "0010", "0002", "0100"]
     elif kind == "wrong":
-        names = [*names[1:], names[0]]
+        names[0], names[2] = names[2], names[0]  # as many objects, of the same classes
     made = {name: forms.frames()[name] for name in names}
     if kind == "no truth":
         made = {n: {k: v for k, v in m.items() if k[:2] != "gt"} for n, m in made.items()}
@@ -184,6 +184,15 @@ def test_order_of_a_list_without_names_is_checked(kind, tmp_path, dataset, nocs)
         ]
         assert run.notes[0].endswith(f"{words}, as the truth in the file bears out")
         same(run, StoredRun(nocs, dataset=dataset))
+
+
+def test_images_that_are_alike_follow_each_other(tmp_path):
+    made = forms.frames()
+    still = dict.fromkeys(made, made[forms.NAMES[0]])
+    forms.nocs(tmp_path / "data/gts/real_test", still, "results_real_test_{}.pkl")
+    path = forms.listed(tmp_path / "pred_result.pkl", still, names=False)
+    run = StoredRun(path, dataset=Real275(tmp_path / "data"))
+    assert {failure for _, failure, _ in facts(run).values()} == {None}
 
 
 @pytest.mark.parametrize(
