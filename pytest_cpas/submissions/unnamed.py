@@ -19,7 +19,7 @@ __all__ = ["places_of_unnamed"]
 
 #: Truth of one object in a file and in a data set, metres. Neighbouring images are further apart,
 #: where the camera moves.
-NEAR = 0.005
+NEAR = 0.001
 
 _Known = Sequence[tuple[str, Array]]
 
