@@ -9,6 +9,9 @@ from method_adapters._networks.running import Runner
 from pytest_cpas.checks.contract import CONTRACT, MethodSubject, check_contract
 from pytest_cpas.types import GroundTruth, Pose, Sample, SampleRef, Symmetry
 
+#: All of them together.
+pytestmark = pytest.mark.minutes
+
 
 def loaded(name):
     method, network = cases.METHODS[name](), cases.METHODS[name].network()

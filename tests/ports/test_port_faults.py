@@ -16,6 +16,9 @@ from method_adapters._prior_method import pose_from_assignment
 from method_adapters.dpdn import Dpdn
 from pytest_cpas.types import CATEGORIES
 
+#: All of them together.
+pytestmark = pytest.mark.minutes
+
 
 def align_corners_flipped(patch):
     real = pspnet._resized
