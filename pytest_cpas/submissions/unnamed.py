@@ -55,10 +55,10 @@ def places_of_unnamed(
             lacking = len(names) - len(numbers)
             rest = f"{lacking} of {len(names)} images of {dataset.name} are not in the file, and"
             return numbers, [note, *([f"{rest} count as not correct"] if lacking else [])]
-        seen.append(f"{words} the truth in the file fits up to image {misfit - 1}")
+        seen.append(f"{words} the first {misfit}")
     raise DataError(
-        f"{head}, and {', '.join(seen)} of {len(stored) - 1}, so that which is which cannot be"
-        " told; store the path of each as image_path"
+        f"{head}, and of these the truth in the file fits {', '.join(seen)}, so that which is which"
+        " cannot be told; store the path of each as image_path"
     )
 
 

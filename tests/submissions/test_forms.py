@@ -167,7 +167,10 @@ def test_order_of_a_list_without_names_is_checked(kind, tmp_path, dataset, nocs)
         made = {n: {k: v for k, v in m.items() if k[:2] != "gt"} for n, m in made.items()}
     path = forms.listed(tmp_path / "pred_result.pkl", made, names=False)
     if kind == "wrong":
-        with pytest.raises(DataError, match=r"in the order of real275 the truth in the file fits"):
+        words = (
+            r"truth in the file fits in the order of real275 the first 1, in alph.* the first 1,"
+        )
+        with pytest.raises(DataError, match=words):
             StoredRun(path, dataset=dataset)
         return
     run = StoredRun(path, dataset=dataset)
