@@ -400,6 +400,38 @@ def forms_without_truth(kind: str) -> list[bytes]:
     return [saved(lambda file: np.savetxt(file, pose))]
 
 
+def json_lines() -> list[bytes]:
+    """Our own form: with points, a mesh and a failure, and of detections."""
+    from pytest_cpas.submissions import Header, answer_line
+    from pytest_cpas.types import Hypothesis, Mesh, Prediction
+
+    whole = {
+        "rotation": np.eye(3), "translation": np.full(3, 0.1), "extents": np.ones(3), "score": 0.5,
+    }  # fmt: skip
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    shaped = [Hypothesis(**whole, points=np.eye(3) / 3), Hypothesis(**whole, mesh=mesh)]
+    gives = frozenset({"extents", "score", "shape"})
+    header = Header(object_frame="nocs", gives=gives, classes=["mug"], method="m", samples=2)
+    lines = [
+        header.line(),
+        answer_line({"sample": "1", "category": "mug", "image": "a"}, Prediction(shaped), None),
+        answer_line({"sample": "2", "image": "a"}, Prediction.failed("none"), np.ones(4)),
+    ]
+    bare = Header(object_frame="shapenet", gives=frozenset(), classes=["mug", "can"])
+    found = Prediction([Hypothesis(rotation=np.eye(3), translation=np.ones(3))])
+    about = {"category": "can", "image": "b"}
+    detected = [bare.line(), *[answer_line(about, found, np.ones(4))] * 2]
+    return ["\n".join(each).encode() for each in (lines, detected)]
+
+
+def leaf_of_line(content: bytes, dice: random.Random) -> bytes:
+    """A leaf of one of several lines."""
+    lines = content.split(b"\n")
+    number = dice.randrange(len(lines))
+    lines[number] = leaf(lines[number], dice)
+    return b"\n".join(lines)
+
+
 def answered(path: Path) -> None:
     """Answers that are read beside a data set; a matrix lies in a folder of its own."""
     from types import SimpleNamespace
@@ -421,6 +453,7 @@ def answered(path: Path) -> None:
         read = read_submission(path, dataset)
     for image in read.images:
         assert len(order(image.answers)) == len(failures(image.answers)) == len(image.answers)
+        assert len(list(image.answers.shapes or ())) in (0, len(image.answers))
 
 
 def results() -> list[bytes]:
@@ -737,6 +770,8 @@ READERS: dict[str, Reader] = {
                      mutations=() if kind == "catre" else TEXT)
         for kind, suffix in (("catre", ".pkl"), ("bop", ".csv"), ("matrices", ".txt"))
     },
+    "json lines": Reader(answered, json_lines, ".jsonl",
+                         mutations=(leaf_of_line, leaf_of_line, *TEXT)),
     "results": Reader(merged, results, ".jsonl", mutations=(checksummed,) * 4),
     "golden": Reader(golden, goldens),
     "golden points": Reader(golden_points, points),

@@ -11,6 +11,7 @@ from pytest_cpas import cli
 from pytest_cpas.evaluation import MethodRun, SavedAnswers, StoredRun
 from pytest_cpas.submissions import read_submission, write_submission
 from pytest_cpas.types import DataError
+from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, SHAPENET_FROM_Z_UP
 
 NAMES = ("scene_1_0000", "scene_1_0001", "scene_2_0010")
 
@@ -109,7 +110,10 @@ def test_json_lines_hold_all_but_the_truth(nocs, tmp_path):
     assert again.read_bytes() == target.read_bytes()
 
 
-def test_what_a_form_cannot_say_is_named(several, tmp_path):
+@pytest.mark.parametrize("axes", [None, NOCS_FROM_SHAPENET, SHAPENET_FROM_Z_UP])
+def test_what_a_form_cannot_say_is_named(several, tmp_path, axes):
+    dataset = tiny.Tiny(None)
+    dataset.published_axes = axes
     target = tmp_path / "answers.npz"
     lost = write_submission(read_submission(several), target)
     assert lost.pop(0) == (
@@ -122,9 +126,9 @@ def test_what_a_form_cannot_say_is_named(several, tmp_path):
         "the shapes of 20 answers",
     ]
     source = read_submission(several)
-    assert write_submission(source, target, dataset=tiny.Tiny(None), force=True) == lost
-    expected, failures = facts(StoredRun(several, dataset=tiny.Tiny(None)))
-    found, same = facts(StoredRun(target, dataset=tiny.Tiny(None)))
+    assert write_submission(source, target, dataset=dataset, force=True) == lost
+    expected, failures = facts(StoredRun(several, dataset=dataset))
+    found, same = facts(StoredRun(target, dataset=dataset))
     assert failures[3] == "too few points\nin the mask"
     assert same == [*[None] * 3, "not detected", *[None] * 8]
     known = ~np.isnan(found).all(axis=0)
