@@ -261,12 +261,12 @@ def test_collect_only_judges_nothing(recorded):
         (("--cpas-method=icp", "--cpas-dataset=real275"), "real_test.zip"),
         (
             ("--cpas-method=icp", "--cpas-dataset=real275", "--cpas-data=nowhere"),
-            "no real_test in",
+            "no gts/real_test in",
         ),
         (("--cpas-method=tiny:NoInfo", "--cpas-dataset=tiny:Tiny"), "has no attribute info"),
         (("--cpas-method=tiny:Missing", "--cpas-dataset=tiny:Tiny"), "cannot be imported"),
         (("--cpas-predictions=nowhere.npz",), "nowhere.npz"),
-        (("--cpas-predictions=tiny.py",), "expected a .pkl, a folder of them, an .npz or a .csv"),
+        (("--cpas-predictions=tiny.py",), "expected a .pkl, an .npz, a .csv"),
         (
             ("--cpas-method=tiny:Perfect", "--cpas-dataset=tiny:Tiny", "--cpas-limit=0"),
             "expected at least 1",
