@@ -83,6 +83,8 @@ class Pairing:
             self.notes += _strangers(submission, dataset)
         #: The data set's name of an image, by its number in the submission.
         self.images = {number: image for image, number in self._numbers.items()}
+        for number in self.images:
+            self._check_classes(number)
         self._found: dict[int, Found] = {}
         self._objects = functools.cache(self._look)
 
@@ -125,7 +127,9 @@ class Pairing:
         else:
             true = [self._dataset.truth(ref).pose.translation for ref in refs]
             same = self._same(refs, answers, rows)
-            assigned = assign_by_position(np.array(true), answers.poses[rows, :3, 3], same)
+            assigned = assign_by_position(
+                np.array(true).reshape(-1, 3), answers.poses[rows, :3, 3], same
+            )
             found = [[rows[place] for place in places] for places in assigned]
         if answers.scores is not None and answers.ranks is None:
             scores = np.nan_to_num(answers.scores, nan=-np.inf).tolist()
@@ -133,20 +137,21 @@ class Pairing:
                 each.sort(key=lambda row: -scores[row])
         return found
 
+    def _check_classes(self, number: int) -> None:
+        """Raise :class:`DataError` for answers without a class in an image of several objects."""
+        refs = self.refs(number)
+        if len(refs) > 1 and 0 in self._submission.images[number].answers.class_ids:
+            raise DataError(
+                f"{self._submission.path}: its answers have no class, and there are {len(refs)}"
+                f" objects in image {self.images[number]}; put those about each object into a"
+                f" folder of its category's name, such as {refs[0].category}/"
+            )
+
     def _same(
         self, refs: Sequence[SampleRef], answers: Answers, rows: Sequence[int]
     ) -> NDArray[np.bool_]:
-        """Whether samples and answers (n, m) are of one class.
-
-        Raises :class:`DataError` for an answer without a class about one of several objects.
-        """
+        """Whether samples and answers (n, m) are of one class, or the answer has none."""
         ids = answers.class_ids[rows].tolist()
-        if 0 in ids and len(refs) > 1:
-            raise DataError(
-                f"{self._submission.path}: its answers have no class, and there are {len(refs)}"
-                f" objects in image {self._dataset.image(refs[0])}; put those about each object"
-                f" into a folder of its category's name, such as {refs[0].category}/"
-            )
         same = [
             [number == 0 or ref.category == self._submission.category(number) for number in ids]
             for ref in refs

@@ -95,6 +95,7 @@ def test_round_trip(dataset, tmp_path):
     for ref in run.samples:
         assert run.judge(ref).facts["position_m"] < 1e-9
         assert run.judge(ref).facts["iou"] is None
+    assert run.notes == []
     run = StoredRun(written(tmp_path / "m_tiny-test.csv", aside), dataset=dataset)
     for ref in run.samples:
         centre = np.append(np.array(CENTRES[int(ref.category[-1])]) / 1000, 1)
@@ -147,6 +148,7 @@ def test_nearest_of_one_class():
     # the nearer one is about the first object, so that the other is about the second
     assert assign_by_position(positions, found, same) == [[1], [0], [2, 3]]
     assert assign_by_position(positions, found[:0], same[:, :0]) == [[], [], []]
+    assert assign_by_position(positions[:0], found, same[:0]) == []
     found[0] = [0.2, 0, 0]
     assert assign_by_position(positions[:1], found, same[:1]) == [[1, 0]]
 

@@ -41,6 +41,9 @@ def test_pair_of_pace(given, tmp_path):
         == {"bowl", "box-link3"}
         == {by_image.PACE[class_id - 1] for class_id in (2, 6)}
     )
+    assert run.notes[0] == (
+        "which objects are symmetric is told by their categories, not as PACE does"
+    )
     for ref, theirs in zip(run.samples, other.samples, strict=True):
         assert ref.id == theirs.id
         assert run.judge(ref).facts == pytest.approx(other.judge(theirs).facts, abs=1e-9)

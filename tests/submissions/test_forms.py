@@ -19,6 +19,7 @@ def facts(run):
 
 
 def same(run, other, but=()):
+    assert isinstance(run.notes, list), "which an audit is part of"
     found, expected = facts(run), facts(other)
     assert found.keys() == expected.keys()
     for sample, (category, failure, values) in expected.items():

@@ -6,7 +6,7 @@ import pytest
 from test_bop_csv import aside, dataset, truths, written  # noqa: F401 - a fixture
 
 from pytest_cpas.datasets.nocs import Real275
-from pytest_cpas.evaluation import SampleError, StoredRun
+from pytest_cpas.evaluation import StoredRun
 from pytest_cpas.submissions import read_submission
 from pytest_cpas.types import DataError
 
@@ -56,6 +56,7 @@ def test_one_object_in_an_image(kind, one, tmp_path):
         for name, values in made.items()
     }
     run = StoredRun(forms.matrices(tmp_path / "scene_1", poses), dataset=one)
+    assert not any(note.startswith("audit") for note in run.notes)
     other = StoredRun(nocs, dataset=one)
     for ref in run.samples:
         found, expected = run.judge(ref), other.judge(ref)
@@ -70,11 +71,8 @@ def test_several_objects_need_a_category(tmp_path, dataset, one):  # noqa: F811
         read_submission(folder, dataset)
     two = forms.nocs(tmp_path / "two/gts/real_test", forms.frames(), "results_real_test_{}.pkl")
     folder = forms.matrices(tmp_path / "other", {"scene_1/0000.txt": np.eye(4)})
-    run = StoredRun(folder, dataset=Real275(two.parents[1]))
-    with pytest.raises(
-        SampleError, match=r"no class, and there are 2 objects in image scene_1/0000"
-    ):
-        run.judge(run.samples[0])
+    with pytest.raises(DataError, match=r"no class, and there are 2 objects in image scene_1/0000"):
+        StoredRun(folder, dataset=Real275(two.parents[1]))
 
 
 @pytest.mark.parametrize(
