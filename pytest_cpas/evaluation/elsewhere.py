@@ -12,6 +12,10 @@ import json
 import os
 import re
 from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from pytest_cpas.reading.structured import parse_json
+from pytest_cpas.types import ContractError
 
 __all__ = ["installed_from_elsewhere", "module_names", "values", "variables"]
 
@@ -55,8 +59,11 @@ def installed_from_elsewhere(distributions: Iterable[str]) -> dict[str, str]:
     for name in distributions:
         distribution = importlib.metadata.distribution(name)
         if url := distribution.read_text("direct_url.json"):
-            told = json.loads(url)
-            came_from = [told.get("vcs_info"), told.get("archive_info")]
+            try:
+                told = parse_json(Path(f"direct_url.json of {name}"), url.encode())
+                came_from = [told.get("vcs_info"), told.get("archive_info")]
+            except ContractError:  # of another installer: whatever it says
+                came_from = [url]
             lines = (distribution.read_text("RECORD") or "").splitlines()
             # neither scripts, which name the environment, nor what tells of the installation
             files = [line for line in lines if not re.match(r"\.\.|[^/]*\.dist-info/", line)]

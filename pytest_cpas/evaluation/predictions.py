@@ -9,6 +9,7 @@ import functools
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,7 +140,10 @@ class StoredRun(Run):
             if answers.scores is None:
                 return None
             detected += self._detected(number, image, answers, answers.scores)
-        truths = [(self._dataset.image(r), r.category, self.truth(r)) for r in self.samples]
+        try:
+            truths = [(self._dataset.image(r), r.category, self.truth(r)) for r in self.samples]
+        except ContractError:  # which the samples say themselves
+            return None
         pairs = pair_table(facts_of(columns), detected, truths, self.info.gives)
         return rank(columns, pairs)
 
@@ -163,9 +167,10 @@ class StoredRun(Run):
 
     @functools.cached_property
     def _notes(self) -> Sequence[str]:
-        counts = Counter(
-            reason for ref in self.samples if (reason := self._answers(ref)[2]) is not None
-        )
+        counts: Counter[str] = Counter()
+        for ref in self.samples:
+            with suppress(ContractError):  # which the sample says itself
+                counts.update(filter(None, self._answers(ref)[2:]))
         notes = [*self._submission.notes, *self._pairing.notes]
         told, known = self._submission.provenance.get("data"), self._dataset.digest
         if told is not None and told != known:

@@ -118,8 +118,12 @@ def _truth(pairing: Pairing, dataset: Dataset, number: int) -> _Truth:
     return _Truth(
         np.array([truth.pose.translation for truth in truths]).reshape(-1, 3),
         np.array([truth.pose.rotation for truth in truths]).reshape(-1, 3, 3),
-        np.array([truth.symmetry != Symmetry.none() for truth in truths], dtype=bool),
+        np.array([_is_symmetric(truth.symmetry) for truth in truths], dtype=bool),
     )
+
+
+def _is_symmetric(symmetry: Symmetry) -> bool:
+    return symmetry.sphere or symmetry.axis is not None or len(symmetry.rotations) > 1
 
 
 def _tell(better: NDArray[np.bool_], worse: NDArray[np.bool_], deviations: float) -> bool:
@@ -323,7 +327,7 @@ def _apart(one: GroundTruth, other: GroundTruth) -> tuple[float, float]:
         float(np.abs(one.extents - other.extents).max()),
     )
     turn = one.pose.rotation.T @ other.pose.rotation
-    if one.symmetry != Symmetry.none():  # the up axis alone says something of all of those
+    if _is_symmetric(one.symmetry):  # the up axis alone says something of all of those
         return metres, float(np.degrees(np.arctan2(np.hypot(turn[0, 1], turn[2, 1]), turn[1, 1])))
     return metres, float(np.degrees(Rotation.from_matrix(turn).magnitude()))
 

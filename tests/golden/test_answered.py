@@ -115,7 +115,7 @@ def test_losses_stand_before_gains():
         run = Fixed("m", "d", REFS, identity={"data": "x"}, protocols=[legacy])
         counted = {"can": (5,) * width, "mug": (5,) * width}
         detections = {"mug-0": RankedDetection("mug", 0.9, outcome.ljust(width, "1"))}
-        run.ranking = lambda: Ranking(detections, counted)
+        run.ranking = lambda rows: Ranking(detections, counted)
         return RunTable.of(run, [])
 
     legacy = shipped_protocol("nocs-legacy")

@@ -557,7 +557,8 @@ def a_report() -> bytes:
 
     table = a_table()
     run: Any = SimpleNamespace(
-        method="m", dataset="d", missing=[], damaged=[], identity=table.identity, seeds=3,
+        method="m", dataset="d", missing=[], damaged=[], notes=["a note"], seeds=3,
+        identity=table.identity,
         definitions=table.definitions, provenance=table.provenance, listed=table.listed,
         samples=[],
     )  # fmt: skip

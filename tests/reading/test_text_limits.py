@@ -261,7 +261,7 @@ COLUMN = '[[columns]]\nid = "c{0}"\nlabel = "l{0}"\nat = {{ rotation_deg = 1 }}\
         (COLUMN.format(1).replace('"l1"', '""'), "label is '', expected a line of text"),
         (COLUMN.format(1).replace('"l1"', '"  "'), "label is '  '"),
         (COLUMN.format(1).replace('"l1"', '"' + "x" * 10**6 + '"'), "label is 'xxx.*xxx'"),
-        (COLUMN.format(1).replace("rotation_deg", "'" + "x" * 10**6 + "'"), "there is no fact"),
+        (COLUMN.format(1).replace("rotation_deg", "'" + "x" * 10**6 + "'"), "expected a fact"),
         ('"' + "k" * 10**6 + '" = 1', "a protocol has 'kkk.*kkk'"),
         (
             COLUMN.format(1).replace("= 1 ", "= 1e200 "),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pytest_cpas.datasets.nocs import Real275
-from pytest_cpas.evaluation import StoredRun
+from pytest_cpas.evaluation import SampleError, StoredRun
+from pytest_cpas.protocols import shipped_protocol
 from pytest_cpas.types import DataError
 
 BOXES = np.array([[0, 0, 10, 10], [0, 20, 10, 30], [50, 50, 90, 90]])
@@ -159,3 +160,25 @@ def test_half_precision_is_taken_as_such(dataset, tmp_path, kind):
     frames[NAMES[0]]["pred_RTs"] = frame()["pred_RTs"] + 1e-4
     run = StoredRun(submitted(tmp_path, frames), dataset=dataset)
     assert not any("half" in note for note in run.notes), "one pose shows that it is not"
+
+
+def test_broken_truth_is_told_by_its_samples_alone(dataset, tmp_path):
+    """Neither what is noticed nor a ranking ends a run because of it."""
+    path = submitted(tmp_path)
+    real = dataset.truth
+
+    def truth(ref):
+        if ref.id.startswith("scene_1/0001"):
+            raise DataError("damaged")
+        return real(ref)
+
+    dataset.truth = truth
+    run = StoredRun(path, dataset=dataset, protocols=[shipped_protocol("nocs")])
+    for ref in run.samples:
+        if ref.id.startswith("scene_1/0001"):
+            with pytest.raises(SampleError, match="damaged"):
+                run.judge(ref)
+        else:
+            run.judge(ref)
+    assert run.notes == ["the file was not audited: damaged"]
+    assert run.ranking(()) is None
