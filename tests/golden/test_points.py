@@ -44,7 +44,7 @@ def at(point, *changed, category=None, protocols=(CPAS,), seeds=1, **told) -> Ru
     run = Fixed("m", f"d+{point}", REFS, identity={"data": f"x {point}"}, protocols=protocols)
     run.seeds = seeds
     if LEGACY in protocols:
-        run.ranking = a_ranking
+        run.ranking = lambda rows: a_ranking()
     new = {row.sample: row for row in (*rows(), *changed)}.values()
     made = RunTable.of(
         run,

@@ -26,7 +26,7 @@ def a_ranking(wrong=(), scores=None, extra=0) -> Ranking:
 
 def table(ranking: Ranking | None) -> RunTable:
     run = Fixed("m", "d", REFS, identity={"data": "x"}, protocols=PROTOCOLS)
-    run.ranking = lambda: ranking
+    run.ranking = lambda rows: ranking
     return RunTable.of(run, rows())
 
 

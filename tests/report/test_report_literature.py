@@ -28,7 +28,7 @@ HEAD = [
 ]
 
 
-def half_right() -> Ranking:
+def half_right(rows=()) -> Ranking:
     """AP 50 % in every column: one of two cans is found, and one of two mugs."""
     detections = {f"{name}-0": RankedDetection(name, 0.9, "1" * COLUMNS) for name in ("can", "mug")}
     return Ranking(detections, dict.fromkeys(("can", "mug"), (2,) * COLUMNS))
@@ -140,7 +140,7 @@ def test_nothing_stands_beside_other_data_or_another_protocol():
 
 
 def test_a_run_that_ranks_nothing_has_no_nearest_line():
-    content = a_document(ranking=lambda: None)
+    content = a_document(ranking=lambda rows: None)
     assert markdown_tables(markdown(content))["nocs-legacy: AP in %"][1][1] == "**n/a**"
     assert not [line for line in told(content) if line.startswith(("this run", "literature"))]
 
@@ -148,7 +148,7 @@ def test_a_run_that_ranks_nothing_has_no_nearest_line():
 def test_no_verdict_is_made_of_it():
     """A run that finds nothing is as far below every printed line as can be."""
     nothing = Ranking({}, dict.fromkeys(("can", "mug"), (2,) * COLUMNS))
-    (run,) = a_document("camera25", ranking=lambda: nothing)["runs"]
+    (run,) = a_document("camera25", ranking=lambda rows: nothing)["runs"]
     (better,) = a_document("camera25")["runs"]
     assert run["verdicts"] == better["verdicts"] == []
     assert run["outcome"] == better["outcome"]
