@@ -110,11 +110,11 @@ class RecordTree(Tree):
         except ContractError as error:
             raise DataError(f"{ref.id}: {error}") from None
 
-    def box(self, ref: SampleRef) -> Array | None:
+    def box_of(self, ref: SampleRef) -> Array | None:
         """The 2-D box of what is seen of an object: that of its mask."""
         record = Record(*self._details[ref.id])
         if ref.id in self.absent or record.mask is None:
-            return super().box(ref)
+            return super().box_of(ref)
         width, height, *intrinsics = record.camera
         camera = Camera(int(width), int(height), *intrinsics)
         return mask_box(self._listed_mask(record, record.mask, camera))

@@ -45,7 +45,7 @@ class Tree(Dataset):
     def scan(self, scan: Scan) -> None:
         """List the samples of the tree to ``scan``."""
 
-    def image(self, ref: SampleRef) -> str:
+    def image_of(self, ref: SampleRef) -> str:
         """The image that a sample is in."""
         return ref.id.rpartition("/")[0] if self.several else ref.id
 

@@ -82,7 +82,7 @@ class Bop(RecordTree):
         self._models_info = find_models(root)
         self._models, self._damaged_models = read_models(root / self._models_info)
         self.published_centres = {object_name(n): m.centre for n, m in self._models.items()}
-        self.classes = tuple(self.published_centres)
+        self.class_names = tuple(self.published_centres)
         name = re.sub(r"[^A-Za-z0-9._-]", "-", f"bop-{root.resolve().name}-{self.split}")
         super().__init__(name, root)
 

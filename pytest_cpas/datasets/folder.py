@@ -152,7 +152,7 @@ class Folder(RecordTree):
             symmetry=symmetry,
         )
 
-    def image(self, ref: SampleRef) -> str:
+    def image_of(self, ref: SampleRef) -> str:
         """The colour image that a sample is in."""
         return Record(*self._details[ref.id]).rgb
 

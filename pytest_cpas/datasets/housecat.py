@@ -54,7 +54,7 @@ _MODELS = "obj_models_small_size_final"
 class HouseCat6D(RecordTree):
     """The test scenes of HouseCat6D."""
 
-    classes = CATEGORIES
+    class_names = CATEGORIES
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/housecat6d``; FileNotFoundError says how."""

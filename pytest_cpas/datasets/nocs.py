@@ -305,9 +305,9 @@ class NocsTree(Tree):
     def _depth(self, frame: str) -> NDArray[np.float32]:
         return self._read_depth(self.root / f"{self.frames}/{frame}_depth.png", self.camera)
 
-    def box(self, ref: SampleRef) -> Array | None:
+    def box_of(self, ref: SampleRef) -> Array | None:
         """The 2-D box of what is seen of an object: that of its mask, or of the ground truth."""
-        item, frame = Listed(*self._details[ref.id]), self.image(ref)
+        item, frame = Listed(*self._details[ref.id]), self.image_of(ref)
         if ref.id not in self.absent:
             return mask_box(self._ids(frame) == item.mask_id)
         path = self.root / _truth_path(frame)

@@ -83,7 +83,7 @@ class DetectedRun(MethodRun):
             for row in rows
             for found in row.detections
         ]
-        image = self._detected.image
+        image = self._detected.image_of
         truths = [(image(ref), ref.category, self.truth(ref)) for ref in self.samples]
         gives = self._method.info.gives - {"shape"}
         return rank(columns, pair_table(facts_of(columns), detected, truths, gives))

@@ -141,7 +141,7 @@ class MethodRun(Run):
             "data_code": programs[1].code,
         }
         self.quick_truth = dataset.quick_truth
-        self.classes = dataset.classes
+        self.classes = dataset.class_names
         self.focal = dataset.camera.fx if dataset.camera else None
         self.robustness_point = dataset.point if isinstance(dataset, Perturbed) else None
         present = [s for s in dataset.samples if s.id not in dataset.absent]
@@ -247,7 +247,7 @@ class MethodRun(Run):
         if self.take_answer is not None:
             box = None if sample is None else mask_box(sample.observation.mask)
             standard = standard_prediction(prediction, self._method.info)
-            self.take_answer(ref, self._dataset.image(ref), standard, box)
+            self.take_answer(ref, self._dataset.image_of(ref), standard, box)
 
     def _unseen(self, ref: SampleRef, reason: str) -> Row:
         """The row of a sample that there is nothing to ask about."""

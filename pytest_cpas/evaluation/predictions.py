@@ -112,7 +112,7 @@ class StoredRun(Run):
             boxes = self._submission.images[number].answers.boxes if rows else None
             answer = standard_prediction(self._prediction(ref), self.info)
             box = None if boxes is None else boxes[rows[0]]
-            self.take_answer(ref, self._dataset.image(ref), answer, box)
+            self.take_answer(ref, self._dataset.image_of(ref), answer, box)
         return row
 
     def truth(self, ref: SampleRef) -> GroundTruth:
@@ -141,7 +141,7 @@ class StoredRun(Run):
                 return None
             detected += self._detected(number, image, answers, answers.scores)
         try:
-            truths = [(self._dataset.image(r), r.category, self.truth(r)) for r in self.samples]
+            truths = [(self._dataset.image_of(r), r.category, self.truth(r)) for r in self.samples]
         except ContractError:  # which the samples say themselves
             return None
         pairs = pair_table(facts_of(columns), detected, truths, self.info.gives)

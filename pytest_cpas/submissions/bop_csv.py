@@ -61,7 +61,7 @@ def read(path: Path, dataset: Dataset | None) -> Submission:
         if (number, ",".join(fields)) == (1, HEADER) or not fields:
             continue
         where = f"{path}, line {number}"
-        image, estimate = _estimate(fields, where, dataset.classes, dataset.published_centres)
+        image, estimate = _estimate(fields, where, dataset.class_names, dataset.published_centres)
         if len(found) == MOST_IMAGES and image not in found:
             raise DataError(f"{where}: more than {MOST_IMAGES} images; split it by scenes")
         if len(found[image]) == MOST_IN_IMAGE:
@@ -83,7 +83,7 @@ def read(path: Path, dataset: Dataset | None) -> Submission:
         path=path,
         form="BOP",
         images=images,
-        classes=dataset.classes,
+        classes=dataset.class_names,
         object_frame="shapenet",
         gives=frozenset({"score"}),
         notes=[f"{far} rotations are none, by little: the nearest ones are judged"] if far else [],

@@ -89,7 +89,7 @@ def read(path: Path, value: Mapping[Any, Any], dataset: Dataset | None) -> Submi
             f"{path}: it has no truth; name the data set that it answers: --cpas-dataset=NAME"
             f" --cpas-data=DIR{asks}"
         )
-    classes = dataset.classes if dataset is not None else CATEGORIES if boxes else PACE
+    classes = dataset.class_names if dataset is not None else CATEGORIES if boxes else PACE
     form = "CATRE" if boxes else "PACE"
     images = _images(where, value, truths, classes, boxes)
     read = nocs.submission(path, form, images, classes)

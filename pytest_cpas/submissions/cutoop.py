@@ -145,12 +145,12 @@ def _classes(
         places = {label: place for place, label in enumerate(known, start=1)}
         ids = np.array([places[label] for label in labels], dtype=np.int64)
         return tuple(f"class_{label}" for label in known), ids
-    if known and not 1 <= known[0] <= known[-1] <= len(dataset.classes):
+    if known and not 1 <= known[0] <= known[-1] <= len(dataset.class_names):
         raise DataError(
             f"{path}: gt_class_labels run from {known[0]} to {known[-1]}, and {dataset.name} has"
-            f" the classes 1 to {len(dataset.classes)} ({', '.join(dataset.classes)})"
+            f" the classes 1 to {len(dataset.class_names)} ({', '.join(dataset.class_names)})"
         )
-    return dataset.classes, np.array(labels, dtype=np.int64)
+    return dataset.class_names, np.array(labels, dtype=np.int64)
 
 
 def _names(given: Any, count: int, where: str) -> Sequence[str]:

@@ -68,7 +68,7 @@ class DetectedDataset(WrappedDataset):
     def _submission(self, folder: Path) -> Submission:
         images = []
         for file in self._files:
-            found = _read(file, self.classes)
+            found = _read(file, self.class_names)
             nothing = np.full((len(found["class_ids"]), 4, 4), np.nan)
             answers = Answers(
                 class_ids=found["class_ids"],
@@ -81,7 +81,7 @@ class DetectedDataset(WrappedDataset):
             path=folder,
             form="detections",
             images=images,
-            classes=self.classes,
+            classes=self.class_names,
             object_frame="nocs",
             gives=frozenset(),
         )
@@ -128,7 +128,7 @@ class DetectedDataset(WrappedDataset):
         if number is None:
             raise DataError(f"{ref.id}: its image is not among the detections")
         file = self._files[number]
-        masks = self._read(file, self.classes)["masks"]
+        masks = self._read(file, self.class_names)["masks"]
         seen = self._dataset.load(ref).observation
         if masks.shape[:2] != seen.mask.shape:
             raise DataError(

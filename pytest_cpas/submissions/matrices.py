@@ -36,7 +36,7 @@ def read(path: Path, files: Sequence[Path], dataset: Dataset | None) -> Submissi
     """The files of a folder; :class:`DataError` naming the one that is damaged."""
     if len(files) > MOST_IMAGES:
         raise DataError(f"{path}: {len(files)} files, at most {MOST_IMAGES} are read; split it")
-    classes = CATEGORIES if dataset is None else dataset.classes
+    classes = CATEGORIES if dataset is None else dataset.class_names
     centres = {} if dataset is None else dataset.published_centres
     above = [part for part in path.resolve().parts[1:] if part != _PLAIN][-1:]
     found: dict[str, list[tuple[int, Array]]] = defaultdict(list)

@@ -72,7 +72,7 @@ class Pairing:
         self._submission, self._dataset = submission, dataset
         self._refs: dict[str, list[SampleRef]] = defaultdict(list)
         for ref in dataset.samples:
-            self._refs[dataset.image(ref)].append(ref)
+            self._refs[dataset.image_of(ref)].append(ref)
         if isinstance(dataset, OwnTruth):
             self._numbers = dict(dataset.numbers)
             self.notes = ["the truth is the file's own; --cpas-dataset NAME takes a data set's"]
@@ -90,7 +90,7 @@ class Pairing:
 
     def number(self, ref: SampleRef) -> int | None:
         """The number, in the submission, of the image that a sample is in; None if it lacks it."""
-        return self._numbers.get(self._dataset.image(ref))
+        return self._numbers.get(self._dataset.image_of(ref))
 
     def found(self, number: int) -> Found:
         """What was found about the samples of an image of the submission.
@@ -227,7 +227,7 @@ def _images(
 
 def _strangers(submission: Submission, dataset: Dataset) -> Sequence[str]:
     """What is amiss with the samples that answers name."""
-    images = {ref.id: dataset.image(ref) for ref in dataset.samples}
+    images = {ref.id: dataset.image_of(ref) for ref in dataset.samples}
     strangers = [
         sample
         for image in submission.images
@@ -298,7 +298,7 @@ def _boxes(
     boxes = np.full((len(refs), 4), np.nan)
     rows = {place: row for row, place in linked.items()}
     for place, ref in enumerate(refs):
-        box = dataset.box(ref)
+        box = dataset.box_of(ref)
         if box is None and truths is not None and truths.boxes is not None and place in rows:
             true = dataset.truth(ref).pose.translation
             if np.linalg.norm(truths.poses[rows[place], :3, 3] - true) <= _SAME:

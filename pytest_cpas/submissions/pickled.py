@@ -19,7 +19,7 @@ __all__ = ["read", "read_folder"]
 def read(path: Path, dataset: Dataset | None) -> Submission:
     """A pickle; :class:`DataError` naming the file whose content is in no form that is known."""
     value = load_pickle(regular(path), cutoop.CLASSES)
-    classes = CATEGORIES if dataset is None else dataset.classes
+    classes = CATEGORIES if dataset is None else dataset.class_names
     if cutoop.is_match(value):
         return cutoop.read(path, value, dataset)
     if by_image.is_by_image(value):

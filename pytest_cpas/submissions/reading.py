@@ -42,7 +42,7 @@ def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
 
 def _read(path: Path, dataset: Dataset | None) -> Submission:
     """What is in the file, in the object axes that it has."""
-    classes = CATEGORIES if dataset is None else dataset.classes
+    classes = CATEGORIES if dataset is None else dataset.class_names
     if os.path.isdir(path):  # which takes names that are too long
         files = list(_files(path))
         if any(path.glob(by_image.TRUTH)) and len(found := list(path.glob("*_pred.pkl"))) == 1:

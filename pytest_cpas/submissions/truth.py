@@ -82,7 +82,7 @@ class OwnTruth(Dataset):
         self._submission = submission
         self._places: dict[str, tuple[str, Truths, int]] = {}
         self.samples: list[SampleRef] = []
-        self.classes = submission.classes
+        self.class_names = submission.classes
         #: The number of each image in the submission.
         self.numbers: dict[str, int] = {}
         named = any(image.name for image in submission.images)
@@ -133,11 +133,11 @@ class OwnTruth(Dataset):
         _, truths, index = self._places[ref.id]
         return truth_of(self._submission, truths, index)
 
-    def image(self, ref: SampleRef) -> str:
+    def image_of(self, ref: SampleRef) -> str:
         """The name of the image in the file."""
         return self._places[ref.id][0]
 
-    def box(self, ref: SampleRef) -> Array | None:
+    def box_of(self, ref: SampleRef) -> Array | None:
         """The object's 2-D box (4,), y1, x1, y2, x2 in pixels, as the file has it."""
         _, truths, index = self._places[ref.id]
         return None if truths.boxes is None else truths.boxes[index]

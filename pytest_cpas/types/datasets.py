@@ -44,7 +44,7 @@ class Dataset(ABC):
     * ``absent``, a collection of ids: samples that are listed but whose images are not there, so
       that only their truth is known. No method is judged on them.
     * ``camera``, a :class:`Camera`: the one that took all images; None if there are several.
-    * ``classes``, a sequence of str: the categories of the class ids 1, 2, ... that files of
+    * ``class_names``, a sequence of str: the categories of the class ids 1, 2, ... that files of
       predictions number them by.
     * ``published_axes``, an array (3, 3), and ``published_centres``, of arrays (3,) by category:
       object coordinates, metres, of the poses that the data set publishes, in which files of
@@ -61,7 +61,7 @@ class Dataset(ABC):
     damaged: Sequence[str]
     absent: Collection[str] = frozenset()
     camera: Camera | None = None
-    classes: Sequence[str] = CATEGORIES
+    class_names: Sequence[str] = CATEGORIES
     published_axes: Array | None = None
     published_centres: Mapping[str, Array] = MappingProxyType({})
 
@@ -81,7 +81,7 @@ class Dataset(ABC):
         """
         return self.load(ref).truth
 
-    def image(self, ref: SampleRef) -> str:
+    def image_of(self, ref: SampleRef) -> str:
         """The image that a sample is in, as files of predictions name it, such as
         ``scene_1/0000``; here that of a data set with one object an image: the sample's id."""
         return ref.id
@@ -91,7 +91,7 @@ class Dataset(ABC):
         one without an answer, such as "not detected"; None, as here, where there is something."""
         return None
 
-    def box(self, ref: SampleRef) -> Array | None:
+    def box_of(self, ref: SampleRef) -> Array | None:
         """The 2-D box (4,) of what is seen of an object: y1, x1, y2, x2 in pixels, the last row and
         column not part of it. None where only the truth is there. Here that of its mask.
 
@@ -119,7 +119,7 @@ class WrappedDataset(Dataset):
         self.damaged = dataset.damaged
         self.absent = dataset.absent
         self.camera = dataset.camera
-        self.classes = dataset.classes
+        self.class_names = dataset.class_names
         self.published_axes = dataset.published_axes
         self.published_centres = dataset.published_centres
         self.quick_truth = dataset.quick_truth
@@ -137,17 +137,17 @@ class WrappedDataset(Dataset):
         """The truth about one sample."""
         return self._dataset.truth(ref)
 
-    def image(self, ref: SampleRef) -> str:
+    def image_of(self, ref: SampleRef) -> str:
         """The image that a sample is in."""
-        return self._dataset.image(ref)
+        return self._dataset.image_of(ref)
 
     def unseen(self, ref: SampleRef) -> str | None:
         """Why a method is not asked about a sample."""
         return self._dataset.unseen(ref)
 
-    def box(self, ref: SampleRef) -> Array | None:
+    def box_of(self, ref: SampleRef) -> Array | None:
         """The 2-D box of what is seen of an object."""
-        return self._dataset.box(ref)
+        return self._dataset.box_of(ref)
 
 
 def remember_maker(dataset: Dataset, make: Callable[..., Any]) -> None:
@@ -242,9 +242,9 @@ class _Adapted(WrappedDataset):
         self._has_truth = hasattr(made, "truth")
         self.quick_truth = bool(getattr(made, "quick_truth", self._has_truth))
 
-    image = Dataset.image
+    image_of = Dataset.image_of
     unseen = Dataset.unseen
-    box = Dataset.box
+    box_of = Dataset.box_of
 
     def truth(self, ref: SampleRef) -> GroundTruth:
         return super().truth(ref) if self._has_truth else self.load(ref).truth

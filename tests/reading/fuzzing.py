@@ -440,7 +440,9 @@ def answered(path: Path) -> None:
 
     names = [f"obj_{number:06d}" for number in range(1, 8)]
     known = dict.fromkeys(names, np.ones(3)) if path.suffix == ".csv" else {}
-    dataset = SimpleNamespace(name="x", classes=names, published_axes=None, published_centres=known)
+    dataset = SimpleNamespace(
+        name="x", class_names=names, published_axes=None, published_centres=known
+    )
     if path.suffix == ".txt":
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder, path.name)

@@ -130,7 +130,7 @@ def test_answers_alone_are_enough(dataset, tmp_path):
         StoredRun(path)
     assert max(positions(StoredRun(path, dataset=dataset)).values()) < 0.03
     # where nobody has boxes, those of the projected objects
-    dataset.box = lambda ref: None
+    dataset.box_of = lambda ref: None
     run = StoredRun(path, dataset=dataset)
     assert {run.judge(ref).failure for ref in run.samples} == {"not detected"}
     half, camera = 0.1 / np.sqrt(3), dataset.camera

@@ -16,7 +16,7 @@ from pytest_cpas.types import DataError
 def boxed(dataset):  # noqa: F811
     """REAL275 with 2-D boxes, as it has where there are masks."""
     boxes = {name: values["gt_bboxes"].astype(float) for name, values in forms.frames().items()}
-    dataset.box = lambda ref: boxes[dataset.image(ref)][int(ref.id[-1])]
+    dataset.box_of = lambda ref: boxes[dataset.image_of(ref)][int(ref.id[-1])]
     return dataset
 
 

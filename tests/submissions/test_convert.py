@@ -194,24 +194,28 @@ class Bop(tiny.Tiny):
     """The same with the names of BOP, whose models have another origin."""
 
     name = "bop-tiny"
-    classes = ("obj_000001", "obj_000002")
-    published_centres = MappingProxyType(dict.fromkeys(classes, np.array([0.01, -0.02, 0.3])))
+    class_names = ("obj_000001", "obj_000002")
+    published_centres = MappingProxyType(dict.fromkeys(class_names, np.array([0.01, -0.02, 0.3])))
 
     def __init__(self, data_dir):
         super().__init__(data_dir)
-        named = dict(zip(tiny.CATEGORIES, self.classes, strict=True))
+        named = dict(zip(tiny.CATEGORIES, self.class_names, strict=True))
         self.samples = [
             type(ref)(id=f"1/{i:04d}", category=named[ref.category], scene=ref.scene)
             for i, ref in enumerate(self.samples)
         ]
 
-    def image(self, ref):
+    def image_of(self, ref):
         return f"000001/{ref.id[2:]:0>6}"
 
 
 class Posed(tiny.OnlyPose):
     info = type(tiny.OnlyPose.info)(
-        name="posed", categories=Bop.classes, needs=frozenset(), gives=frozenset(), licence="MIT"
+        name="posed",
+        categories=Bop.class_names,
+        needs=frozenset(),
+        gives=frozenset(),
+        licence="MIT",
     )
 
 

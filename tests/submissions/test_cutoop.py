@@ -67,7 +67,7 @@ def test_labels_of_a_data_set_count_from_1(tmp_path):
     other = StoredRun(forms.nocs(tmp_path / "nocs", truths), dataset=dataset)
     for ref in run.samples:
         assert run.judge(ref).facts == pytest.approx(other.judge(ref).facts, abs=1e-9)
-    dataset.classes = dataset.classes[:3]
+    dataset.class_names = dataset.class_names[:3]
     with pytest.raises(
         DataError, match=r"labels run from 2 to 6, and real275 has .* 1 to 3 \(bott"
     ):

@@ -92,7 +92,7 @@ def test_truth_that_is_not_all_there(lacks, tmp_path, dataset, nocs):
             StoredRun(path, dataset=dataset)
         return
     boxes = {name: values["gt_bboxes"].astype(float) for name, values in forms.frames().items()}
-    dataset.box = lambda ref: boxes[dataset.image(ref)][int(ref.id[-1])]
+    dataset.box_of = lambda ref: boxes[dataset.image_of(ref)][int(ref.id[-1])]
     same(StoredRun(path, dataset=dataset), StoredRun(nocs, dataset=dataset))
 
 
@@ -102,7 +102,7 @@ def test_truth_that_is_not_all_there(lacks, tmp_path, dataset, nocs):
 class TenClasses(Real275):
     """A data set that has its own classes, and publishes poses in the harness's axes."""
 
-    classes = (
+    class_names = (
         "box",
         "bottle",
         "can",

@@ -143,7 +143,7 @@ def test_what_wrappers_change():
     assert own == {
         "DetectedDataset": {"load", "unseen"},
         "Perturbed": {"load"},
-        "_Adapted": {"truth", "image", "unseen", "box"},
+        "_Adapted": {"truth", "image_of", "unseen", "box_of"},
     }
     whole = Held(None)
     part = Perturbed(whole)
