@@ -56,7 +56,9 @@ ODD = {
 
 
 #: No record is none; a folder of predictions is one of pickles.
-OTHERWISE = {("speed", "nothing"), ("predictions", "folder"), ("predictions", "nothing")}
+OTHERWISE = {("speed", "nothing"), ("predictions", "nothing")} | {
+    (form, "folder") for form in ("predictions", "forms", "catre", "bop", "matrices", "json lines")
+}
 
 OF_PATHS = [name for name in fuzzing.READERS if name not in fuzzing.WITHOUT_PATH]
 
@@ -254,7 +256,7 @@ def test_names_with_slashes_are_names(tmp_path):
     path = tmp_path / "mine.npz"
     path.write_bytes(arrays_with(frame=np.array(["a/b_0", "_1"])))
     run = StoredRun(path)
-    assert [ref.id for ref in run.samples] == ["a/b/0/gt0", "1/gt0"]
+    assert [ref.id for ref in run.samples] == ["a/b_0/gt0", "1/gt0"]
     assert all(run.judge(ref).facts["position_m"] == 0 for ref in run.samples)
 
 

@@ -45,7 +45,7 @@ def test_regression_fails_and_is_named(recorded, pytester, how):
         [
             "REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
             "  5 deg, 1 cm, F 0.8: 6 -> 0 of 6 correct",
-            "      lost: scene_0/0001 (0 cm, 0 deg, IoU 1, F 1, * -> 0 cm, 7 deg, IoU *); *",
+            "      lost: scene_0/0001 (0 cm, 0 deg, IoU 1, F 1, * -> 0 cm, 7 deg, IoU *",
             "golden: MATCHES bowl: all 6 samples agree with the golden table",
             "golden: REGRESSED mug: 5 deg, 1 cm: 6 -> 0 of 6 correct",
             "FAILED cpas::golden[[]perfect-tiny-mug] - Failed: REGRESSED mug: 5 deg*",
