@@ -1,6 +1,7 @@
 """Which room imports which, as docs/architecture.md draws it; how large rooms and modules are."""
 
 import ast
+import functools
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -115,10 +116,14 @@ LONGEST = 420
 MOST_IN_ROOT = 12
 
 
+#: Many copies of the package differ by a line.
+parsed = functools.cache(ast.parse)
+
+
 def sources(root: Path) -> dict[Path, ast.Module]:
     """Every module of the wheel, relative to ``root``."""
     return {
-        path.relative_to(root): ast.parse(path.read_bytes())
+        path.relative_to(root): parsed(path.read_bytes())
         for package in ("pytest_cpas", "method_adapters")
         for path in sorted((root / package).rglob("*.py"))
     }
@@ -130,8 +135,13 @@ def room_of(module: str) -> str:
     return (rest[0] if rest else "__init__") if first == "pytest_cpas" else first
 
 
-def imports(tree: ast.Module, path: Path) -> Iterator[str]:
+@functools.cache
+def imports(tree: ast.Module, path: Path) -> frozenset[str]:
     """The dotted names of ours that a module imports, wherever in it and however."""
+    return frozenset(_imports(tree, path))
+
+
+def _imports(tree: ast.Module, path: Path) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]

@@ -5,6 +5,7 @@ from pytest_cpas.evaluation.detected_runs import DetectedRun
 from pytest_cpas.evaluation.estimates import (
     Estimates,
     decode_estimates,
+    decode_hypothesis,
     decode_shape,
     encode_estimate,
     encode_shape,
@@ -53,6 +54,7 @@ __all__ = [
     "can_watch",
     "check_answers",
     "decode_estimates",
+    "decode_hypothesis",
     "decode_shape",
     "encode_estimate",
     "encode_shape",

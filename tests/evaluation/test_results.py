@@ -135,6 +135,7 @@ def contents(file: bytes) -> list[bytes]:
     return sorted(line.partition(b" ")[2] for line in file.splitlines()[1:])
 
 
+@pytest.mark.minutes
 def test_run_goes_on_after_every_kind_of_cut(recorded, pytester):
     """Cut the file at every line, and within lines, as a killed writer would leave it."""
     whole = recorded("Perfect", "--cpas-results=out", "--cpas-require-golden")
@@ -181,6 +182,7 @@ def test_results_of_another_run_are_not_mixed_in(recorded, pytester):
     assert "selected was 12, now 3" in usage_error(pytester, *names, "--cpas-limit=3")
 
 
+@pytest.mark.minutes
 def test_every_damage_is_noticed(recorded, pytester):
     recorded("Perfect", "--cpas-results=out")
     (path,) = (pytester.path / "out").iterdir()
@@ -247,6 +249,7 @@ class Slow(Perfect):
 """
 
 
+@pytest.mark.minutes
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
 def test_killed_runs_end_with_the_same_table(recorded, pytester, how):
     """kill -9 of the whole run at random moments, until it is through."""

@@ -42,7 +42,7 @@ class Slow(Perfect):
 
     def answer(self, index):
         if str(index) == os.environ.get("AT"):
-            globals()[os.environ["HOW"]]()
+            globals()[os.environ["CPAS_HOW"]]()
         return super().answer(index)
 """
 
@@ -61,7 +61,7 @@ def slow(cpas, pytester, monkeypatch):
 
     def run(*args, how="", at=5, limit="1", each="0"):
         monkeypatch.setenv("AT", str(at) if how else "")
-        monkeypatch.setenv("HOW", how)
+        monkeypatch.setenv("CPAS_HOW", how)
         monkeypatch.setenv("EACH", each)
         names = ("--cpas-method=slow:Slow", "--cpas-dataset=tiny:Tiny", "-pno:dash")
         return pytester.runpytest_subprocess(
