@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pytest_cpas.protocols import Protocol
 from pytest_cpas.registry import KINDS, RegistryError, registered, resolve
-from pytest_cpas.types import MethodInfo, assets_of
+from pytest_cpas.types import MethodInfo, assets_of, some_of
 
 
 def listing(weights: Path | None, protocols: Iterable[Protocol]) -> Iterator[str]:
@@ -53,12 +53,8 @@ def _declared(name: str, weights: Path | None) -> Iterator[str]:
     if not paths:
         yield "weights: none needed"
     elif weights is None:
-        yield f"weights: {_some(paths)} (no --cpas-weights to look in)"
+        yield f"weights: {some_of(paths)} (no --cpas-weights to look in)"
     else:
         lacking = [path for path in paths if not (weights / path).is_file()]
-        missing = f", missing {_some(lacking)}" if lacking else ""
+        missing = f", missing {some_of(lacking)}" if lacking else ""
         yield f"weights: {len(paths) - len(lacking)} of {len(paths)} found in {weights}{missing}"
-
-
-def _some(paths: list[str]) -> str:
-    return ", ".join(paths[:3]) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")

@@ -22,6 +22,7 @@ from pytest_cpas.diagnosis.fitted import fitted_lengths, fitted_offsets, part_fl
 from pytest_cpas.diagnosis.mistakes import READINGS, Mistake, cameras, object_frames, units
 from pytest_cpas.evaluation.estimates import Estimates
 from pytest_cpas.metrics.precision import Count
+from pytest_cpas.types import some_of
 from pytest_cpas.types.samples import ALL
 
 #: An explanation must make at least this share of the answers correct that were not.
@@ -95,8 +96,7 @@ class Explanation:
         ]
         lines += [f"  change: {mistake.fix}" for mistake in self.mistakes]
         if self.ties:
-            rest = f" and {len(self.ties) - 3} more" if len(self.ties) > 3 else ""
-            lines.append(f"  these samples cannot tell it from {', '.join(self.ties[:3])}{rest}")
+            lines.append(f"  these samples cannot tell it from {some_of(self.ties)}")
         return lines
 
 

@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from pytest_cpas.reading.files import opened, sha256
-from pytest_cpas.types import DataError
+from pytest_cpas.types import DataError, some_of
 
 __all__ = [
     "WHOLE",
@@ -400,6 +400,4 @@ def changes(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
 
 def named(names: Collection[str]) -> str:
     """Names of files, in words: at most three."""
-    first = sorted(names)[:3]
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(first) + more
+    return some_of(sorted(names))

@@ -24,7 +24,7 @@ from pytest_cpas.submissions.answers import order
 from pytest_cpas.submissions.frames import Answers, Submission
 from pytest_cpas.submissions.truth import OwnTruth
 from pytest_cpas.submissions.unnamed import places_of_unnamed
-from pytest_cpas.types import Array, Camera, DataError, Dataset, GroundTruth, SampleRef
+from pytest_cpas.types import Array, Camera, DataError, Dataset, GroundTruth, SampleRef, some_of
 
 __all__ = ["Pairing", "assign", "assign_by_position"]
 
@@ -39,9 +39,6 @@ _NEAR = 0.1
 
 #: Metres; an answer without a position is taken to be as far away.
 _FARTHEST = 1e300
-
-#: Names that a line tells before it only counts the rest.
-_NAMED = 3
 
 #: Words in an image's name that are no part of it.
 _KINDS = {"color", "colour", "rgb", "depth", "image", "png", "jpg", "pkl"}
@@ -202,25 +199,25 @@ def _images(
             numbers[found] = number
     if twice:
         raise DataError(
-            f"{submission.path}: {len(twice)} images are there twice: {_named(twice)}; leave one of"
-            " each out"
+            f"{submission.path}: {len(twice)} images are there twice: {some_of(twice)}; leave one"
+            " of each out"
         )
     lacking = [image for image in wanted if image not in numbers]
     notes = []
     if lacking:
         notes.append(
             f"{len(lacking)} of {len(wanted)} images of {dataset} are not in the file, and count as"
-            f" not correct: {_named(lacking)}"
+            f" not correct: {some_of(lacking)}"
         )
     if foreign:
         notes.append(
             f"{len(foreign)} of {len(stored)} images of the file are not in {dataset}, and do not"
-            f" count: {_named(foreign)}"
+            f" count: {some_of(foreign)}"
         )
     if not numbers:
         raise DataError(
-            f"{submission.path}: none of its {len(stored)} images, such as {_named(foreign)}, is"
-            f" one of {dataset}'s, such as {_named(wanted)}"
+            f"{submission.path}: none of its {len(stored)} images, such as {some_of(foreign)}, is"
+            f" one of {dataset}'s, such as {some_of(wanted)}"
         )
     return numbers, notes
 
@@ -238,7 +235,7 @@ def _strangers(submission: Submission, dataset: Dataset) -> Sequence[str]:
         return []
     return [
         f"{len(strangers)} samples of the file are not in {dataset.name}, or not in the image that"
-        f" it says, and do not count: {_named(strangers)}"
+        f" it says, and do not count: {some_of(strangers)}"
     ]
 
 
@@ -246,11 +243,6 @@ def _key(name: str) -> tuple[str, ...]:
     """Words and numbers of an image's name, which its kind, extension and zeros do not change."""
     parts = [part for part in re.findall(r"[a-z]+|\d+", name.lower()) if part not in _KINDS]
     return tuple(part.lstrip("0") or "0" if part.isdigit() else part for part in parts)
-
-
-def _named(names: Sequence[str]) -> str:
-    rest = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
 
 
 # -- objects of an image --------------------------------------------------------------------

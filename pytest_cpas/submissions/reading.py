@@ -12,13 +12,10 @@ import numpy as np
 
 from pytest_cpas.submissions import bop_csv, by_image, jsonl_reading, matrices, nocs, pickled
 from pytest_cpas.submissions.frames import Image, Objects, Submission
-from pytest_cpas.types import CATEGORIES, Array, DataError, Dataset
+from pytest_cpas.types import CATEGORIES, Array, DataError, Dataset, some_of
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 __all__ = ["read_submission"]
-
-#: Names that a line tells of what is in a folder.
-_NAMED = 3
 
 
 def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
@@ -95,5 +92,4 @@ def _holds(path: Path, files: Sequence[Path]) -> str:
     if not files:
         return "is empty"
     names = sorted(file.relative_to(path).as_posix() for file in files)
-    rest = len(names) - _NAMED
-    return f"holds {', '.join(names[:_NAMED])}" + (f" and {rest} more" if rest > 0 else "")
+    return f"holds {some_of(names)}"

@@ -26,6 +26,7 @@ from pytest_cpas.types.errors import (
     raised_as,
     shortened,
     shown,
+    some_of,
     words_of,
 )
 from pytest_cpas.types.geometry import Camera, Mesh, Pose, Symmetry
@@ -72,5 +73,6 @@ __all__ = [
     "raised_as",
     "shortened",
     "shown",
+    "some_of",
     "words_of",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import reprlib
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 
 __all__ = [
@@ -17,11 +17,18 @@ __all__ = [
     "raised_as",
     "shortened",
     "shown",
+    "some_of",
     "words_of",
 ]
 
 #: Characters of a message. It may quote what others wrote, and that may be of any length.
 LONGEST_MESSAGE = 2000
+
+
+def some_of(names: Sequence[str]) -> str:
+    """The first three names in words, and how many more there are."""
+    rest = len(names) - 3
+    return ", ".join(names[:3]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def shortened(text: str, most: int = LONGEST_MESSAGE) -> str:
