@@ -78,8 +78,10 @@ class Pairing:
         else:
             self._numbers, self.notes = _images(submission, dataset.name, list(self._refs))
             self.notes += _strangers(submission, dataset)
-        #: The data set's name of an image, by its number in the submission.
-        self.images = {number: image for image, number in self._numbers.items()}
+        #: The data set's names of images by number in the submission, in the data set's order.
+        self.images = {
+            self._numbers[image]: image for image in self._refs if image in self._numbers
+        }
         for number in self.images:
             self._check_classes(number)
         self._found: dict[int, Found] = {}

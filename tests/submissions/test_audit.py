@@ -196,3 +196,22 @@ def test_truth_of_the_file_beside_that_of_the_data_set(share, tmp_path):
         if share
         else []
     )
+
+
+def test_neighbours_are_those_of_the_data_set_whatever_the_order_of_the_file(tmp_path):
+    frames = scene()
+    folder = tmp_path / "data" / "gts" / "real_test"
+    folder.mkdir(parents=True)
+    for index, frame in enumerate(frames):
+        truth = {key: frame[key] for key in ("gt_class_ids", "gt_RTs", "gt_scales", "gt_bboxes")}
+        name = f"results_real_test_scene_1_{index:04d}.pkl"
+        (folder / name).write_bytes(pickle.dumps(truth))
+    order = np.random.default_rng(1).permutation(FRAMES)
+    moved = from_frame(1, *PREDICTED)(frames)
+    rows = {key: np.concatenate([moved[i][key] for i in order]) for key in moved[0]}
+    offsets = np.arange(FRAMES + 1) * OBJECTS
+    path = tmp_path / "mine.npz"
+    frame = [f"scene_1_{index:04d}" for index in order]
+    np.savez(path, **rows, frame=frame, gt_offset=offsets, pred_offset=offsets)
+    [line] = told(StoredRun(path, dataset=Real275(tmp_path / "data")))
+    assert "the answers of the previous frame" in line
