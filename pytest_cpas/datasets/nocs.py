@@ -53,7 +53,7 @@ from pytest_cpas.types import (
     Symmetry,
     raised_as,
 )
-from pytest_cpas.types._arrays import finite_array
+from pytest_cpas.types._arrays import LARGEST_PIXEL, finite_array
 from pytest_cpas.types.datasets import mask_box
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, permute_extents
 
@@ -63,9 +63,6 @@ REAL_CAMERA = Camera(640, 480, 591.0125, 590.16775, 322.525, 244.11084)
 SYMMETRIC_CATEGORIES = frozenset({"bottle", "bowl", "can"})
 
 _FRAME_FILE = re.compile(r"(\d+)_(?:color|depth|mask|coord|meta)\.")
-#: Coordinates of a 2-D box, pixels, are no larger.
-_LARGEST_PIXEL = 1e9
-
 _IMAGES = ("color", "depth", "mask", "coord")
 
 _TRUTH_FILE = re.compile(r"results_real_test_(scene_\d+)_(\d+)\.pkl")
@@ -314,7 +311,7 @@ class NocsTree(Tree):
         boxes = load_numpy_pickle(path).get("gt_bboxes")
         if boxes is None:
             return None
-        boxes = finite_array(boxes, f"{path}: gt_bboxes", _LARGEST_PIXEL)
+        boxes = finite_array(boxes, f"{path}: gt_bboxes", LARGEST_PIXEL)
         if boxes.shape != (item.poses, 4):
             raise DataError(f"{path}: gt_bboxes has shape {boxes.shape}, expected (n, 4)")
         box: Array = boxes[item.pose_index]

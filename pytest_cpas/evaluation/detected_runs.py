@@ -8,7 +8,7 @@ from typing import Any
 
 from pytest_cpas.evaluation.estimates import decode_hypothesis
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun
-from pytest_cpas.evaluation.rows import Answer, Detection, Row
+from pytest_cpas.evaluation.rows import Detection, Row
 from pytest_cpas.evaluation.runs import SampleError
 from pytest_cpas.facts import Detected, pair_table
 from pytest_cpas.protocols import Ranking, facts_of, rank, ranking_columns
@@ -32,33 +32,34 @@ class DetectedRun(MethodRun):
     def judge(self, ref: SampleRef) -> Row:
         """The row of a sample, with the detections that are ranked with it."""
         row = super().judge(ref)
-        own = None if row.failure is not None and row.estimate is None else row.answers[0]
         seen = self._detected.unseen(ref) is None
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         detections = []
         for index, found in enumerate(self._detected.ranked_with(ref)):
             if found.category in self._method.info.categories:
-                answer = own if seen and index == 0 else self._answer_about(ref, found, where)
+                is_own = seen and index == 0
+                estimate = row.estimate if is_own else self._estimate(ref, found, where)
                 detections.append(
                     Detection(
                         name=found.name,
                         image=found.image,
                         category=found.category,
                         score=found.score,
-                        estimate=None if answer is None else answer.estimate,
+                        estimate=estimate,
                     )
                 )
         return replace(row, detections=tuple(detections))
 
-    def _answer_about(self, ref: SampleRef, found: Found, where: str) -> Answer | None:
-        """The answer about a further detection; None where its mask has no pixel."""
+    def _estimate(self, ref: SampleRef, found: Found, where: str) -> str | None:
+        """The answer about a further detection; None where there is none, or where its mask has no
+        pixel."""
         where = f"{where}, detection {found.name}"
         try:
             observation = self._detected.observe(ref, found)
             if observation is None:
                 return None
             sample = Sample(ref, observation, self.truth(ref))
-            return self._answer(self.loaded(), ref, sample, self.seed, where)[0]
+            return self._answer(self.loaded(), ref, sample, self.seed, where)[0].estimate
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
         except MethodError as error:

@@ -39,7 +39,7 @@ from pytest_cpas.types import (
     message_of,
     raised_as,
 )
-from pytest_cpas.types.datasets import WrappedDataset, mask_box, readers_of
+from pytest_cpas.types.datasets import camera_of, mask_box, readers_of
 from pytest_cpas.types.frames import standard_prediction, to_standard
 
 __all__ = ["MethodError", "MethodRun", "check_answers"]
@@ -251,9 +251,7 @@ class MethodRun(Run):
 
     def _unseen(self, ref: SampleRef, reason: str) -> Row:
         """The row of a sample that there is nothing to ask about."""
-        camera = self._dataset.camera
-        if camera is None and isinstance(self._dataset, WrappedDataset):
-            camera = self._dataset.wrapped.load(ref).observation.camera
+        camera = camera_of(self._dataset, ref)
         [answer] = measure(
             self.facts,
             [self.truth(ref)],

@@ -43,6 +43,7 @@ from pytest_cpas.types import (
     SampleRef,
     as_dataset,
 )
+from pytest_cpas.types.datasets import camera_of
 from pytest_cpas.types.frames import standard_prediction, to_standard
 
 __all__ = ["StoredRun"]
@@ -283,10 +284,7 @@ class StoredRun(Run):
 
     def _camera(self, ref: SampleRef) -> Camera | None:
         """The camera of a sample's image, if a fact is about it and it is known."""
-        camera = self._dataset.camera
-        if camera is None and "camera" in self._known and ref.id not in self._dataset.absent:
-            return self._dataset.load(ref).observation.camera
-        return camera
+        return camera_of(self._dataset, ref) if "camera" in self._known else self._dataset.camera
 
     def _in_view(self, ref: SampleRef, truth: GroundTruth) -> GroundTruth:
         """A truth with the symmetry of what can be seen, where only the file knows it."""

@@ -7,8 +7,9 @@ then. Only what makes significantly more of them near is told: with the counts, 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -169,46 +170,42 @@ def _errors(
 def _mistakes(submission: Submission, pairing: Pairing) -> Iterator[_Mistake]:
     images = submission.images
 
-    def of(number: int) -> Answers:
-        return images[number].answers
+    def within(change: Callable[[Answers], Answers | None]) -> Callable[[int], Answers | None]:
+        return lambda number: change(images[number].answers)
 
     for told, write, make in _BOX_ORDERS:
-
-        def boxes(number: int, make: Callable[[Array], Array] = make) -> Answers | None:
-            answers = of(number)
-            return None if answers.boxes is None else replace(answers, boxes=make(answers.boxes))
-
-        yield _Mistake(f"to read 2-D boxes as {told}", f"write {write}", boxes)
+        undone = within(partial(_boxed, make))
+        yield _Mistake(f"to read 2-D boxes as {told}", f"write {write}", undone)
     for step in (1, -1):
-        rows = f"the row {'above' if step > 0 else 'below'}"
         for parts, told in _ROLLED:
-
-            def rolled(
-                number: int, step: int = step, parts: Sequence[str] = parts
-            ) -> Answers | None:
-                answers = of(number)
-                values = {part: getattr(answers, part) for part in parts}
-                moved = {k: np.roll(v, step, axis=0) for k, v in values.items() if v is not None}
-                return replace(answers, **moved) if len(answers) > 1 else None
-
             yield _Mistake(
-                f"to take the {told} of each answer from {rows}",
+                f"to take the {told} of each answer from the row"
+                f" {'above' if step > 0 else 'below'}",
                 f"write {told} in the order of the rest of their frame",
-                rolled,
+                within(partial(_rolled, step, parts)),
             )
-
-        def shifted(number: int, step: int = step) -> Answers | None:
-            answers = of(number)
-            ids = answers.class_ids + step
-            fits = (ids >= 1) & (ids <= len(submission.classes))
-            return replace(answers, class_ids=np.where(fits, ids, answers.class_ids))
-
         yield _Mistake(
             f"to read class ids as {'one more' if step > 0 else 'one less'}",
             f"number classes from 1: {', '.join(submission.classes)}",
-            shifted,
+            within(partial(_counted_otherwise, step, len(submission.classes))),
         )
     yield from _misplaced(submission, pairing)
+
+
+def _boxed(make: Callable[[Array], Array], answers: Answers) -> Answers | None:
+    return None if answers.boxes is None else replace(answers, boxes=make(answers.boxes))
+
+
+def _rolled(step: int, parts: Sequence[str], answers: Answers) -> Answers | None:
+    values = {part: getattr(answers, part) for part in parts}
+    moved = {k: np.roll(v, step, axis=0) for k, v in values.items() if v is not None}
+    return replace(answers, **moved) if len(answers) > 1 else None
+
+
+def _counted_otherwise(step: int, classes: int, answers: Answers) -> Answers:
+    ids = answers.class_ids + step
+    fits = (ids >= 1) & (ids <= classes)
+    return replace(answers, class_ids=np.where(fits, ids, answers.class_ids))
 
 
 #: How boxes are meant that are no y1, x1, y2, x2; how to write them so; and what they become.
@@ -243,47 +240,43 @@ def _misplaced(submission: Submission, pairing: Pairing) -> Iterator[_Mistake]:
     """Answers about an image that stand with another one."""
     images = submission.images
     placed = list(pairing.images)  # in the order of the data set
+
+    def whole(others: Mapping[int, int]) -> Callable[[int], Answers | None]:
+        return lambda number: images[others[number]].answers
+
+    def poses(others: Mapping[int, int]) -> Callable[[int], Answers | None]:
+        return lambda number: _posed(images[number].answers, images[others[number]].answers)
+
     write = "store what was answered with the image that it was answered for"
     for step in (*range(1, _STEPS + 1), *range(-1, -_STEPS - 1, -1)):
         others = dict(zip(placed, [*placed[step:], *placed[:step]], strict=True))
         near = "next frame" if step > 0 else "previous frame"
         far = f"frame that is {abs(step)} {'after' if step > 0 else 'before'}"
         told = near if abs(step) == 1 else far
-
-        def whole(number: int, others: dict[int, int] = others) -> Answers | None:
-            return images[others[number]].answers
-
-        def poses(number: int, others: dict[int, int] = others) -> Answers | None:
-            answers, other = images[number].answers, images[others[number]].answers
-            if len(answers) != len(other):
-                return None
-            return replace(answers, poses=other.poses, extents=other.extents)
-
-        yield _Mistake(f"to take the answers of the {told}", write, whole)
+        yield _Mistake(f"to take the answers of the {told}", write, whole(others))
         if abs(step) == 1:
-            yield _Mistake(f"to take the poses of the {told}", write, poses)
-    names = [str(int(digits)) if (digits := _last(pairing.images[n])) else "" for n in placed]
-    alphabetical = sorted(
-        range(len(placed)), key=lambda i: (pairing.images[placed[i]].rpartition("/")[0], names[i])
-    )
-    if alphabetical != list(range(len(placed))):
-        where = dict(zip((placed[i] for i in alphabetical), placed, strict=True))
-        back = {other: number for number, other in where.items()}
-        for told, moved in (
-            ("to take the frames as sorted alphabetically (0, 1, 10, 100)", where),
+            yield _Mistake(f"to take the poses of the {told}", write, poses(others))
+    listed = sorted(placed, key=lambda number: _listed(pairing.images[number]))
+    if listed != placed:
+        there = dict(zip(listed, placed, strict=True))
+        back = dict(zip(placed, listed, strict=True))
+        for told, others in (
+            ("to take the frames as sorted alphabetically (0, 1, 10, 100)", there),
             ("to take the frames in their own order, not alphabetically (0, 1, 10, 100)", back),
         ):
-
-            def sorted_otherwise(number: int, moved: dict[int, int] = moved) -> Answers | None:
-                return images[moved[number]].answers
-
-            yield _Mistake(told, "sort the frames by their numbers", sorted_otherwise)
+            yield _Mistake(told, "sort the frames by their numbers", whole(others))
 
 
-def _last(name: str) -> str:
-    """The digits at the end of an image's name."""
-    stem = name.rstrip("0123456789")
-    return name[len(stem) :]
+def _posed(answers: Answers, other: Answers) -> Answers | None:
+    if len(answers) != len(other):
+        return None
+    return replace(answers, poses=other.poses, extents=other.extents)
+
+
+def _listed(name: str) -> tuple[str, str]:
+    """What puts images into the order of a folder whose files have numbers without zeros."""
+    digits = name[len(name.rstrip("0123456789")) :]
+    return name.rpartition("/")[0], str(int(digits)) if digits else ""
 
 
 # -- the file's own truth -------------------------------------------------------------------

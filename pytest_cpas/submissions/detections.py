@@ -39,12 +39,13 @@ _MOST_IMAGES, _MOST_IN_IMAGE = 100_000, 300
 
 class Found(NamedTuple):
     """A detection: what it is called among all, its image and category, how sure the detector is;
-    and its row in the file of its image."""
+    the number of the image's file, and the row in it."""
 
     name: str
     image: str
     category: str
     score: float
+    number: int
     row: int
 
 
@@ -55,7 +56,8 @@ class DetectedDataset(WrappedDataset):
         """Read the boxes of all images; :class:`DataError` naming the file that is damaged."""
         super().__init__(dataset)
         self._files = _files(folder)
-        self._pairing = Pairing(self._submission(folder), dataset)
+        self._detections = _submission(folder, self._files, dataset.class_names)
+        self._pairing = Pairing(self._detections, dataset)
         self._read = functools.lru_cache(maxsize=2)(_read)
         digest = hashlib.sha256(dataset.digest.encode())
         for image in self._detections.images:
@@ -64,28 +66,6 @@ class DetectedDataset(WrappedDataset):
         self.digest = digest.hexdigest()
         self.name = checked_name("data set", f"{dataset.name}+detections")
         self.missing = [*dataset.missing, *self._pairing.notes]
-
-    def _submission(self, folder: Path) -> Submission:
-        images = []
-        for file in self._files:
-            found = _read(file, self.class_names)
-            nothing = np.full((len(found["class_ids"]), 4, 4), np.nan)
-            answers = Answers(
-                class_ids=found["class_ids"],
-                poses=nothing,
-                boxes=found["rois"].astype(np.float64),
-                scores=found["scores"].astype(np.float64),
-            )
-            images.append(Image(name=file.stem, answers=answers))
-        self._detections = Submission(
-            path=folder,
-            form="detections",
-            images=images,
-            classes=self.class_names,
-            object_frame="nocs",
-            gives=frozenset(),
-        )
-        return self._detections
 
     def unseen(self, ref: SampleRef) -> str | None:
         """Why no detection is of a sample; None if one is."""
@@ -104,7 +84,7 @@ class DetectedDataset(WrappedDataset):
         taken = {row for rows in assigned.values() for row in rows}
         wanted = set(assigned[ref.id])
         answers = self._detections.images[number].answers
-        scores = np.zeros(0) if answers.scores is None else answers.scores
+        scores: Any = answers.scores  # which every detection has
         if ref == self._pairing.refs(number)[0]:
             wanted |= set(range(len(answers))) - taken
         image = self._pairing.images[number]
@@ -114,6 +94,7 @@ class DetectedDataset(WrappedDataset):
                 image=image,
                 category=self._detections.category(int(answers.class_ids[row])),
                 score=float(scores[row]),
+                number=number,
                 row=row,
             )
             for row, name in names(self._detections, image, answers)
@@ -124,10 +105,7 @@ class DetectedDataset(WrappedDataset):
     def observe(self, ref: SampleRef, found: Found) -> Observation | None:
         """What a method sees of a detection in the image of a sample; None of a mask without a
         pixel. Raises :class:`DataError` naming the file that is damaged."""
-        number = self._pairing.number(ref)
-        if number is None:
-            raise DataError(f"{ref.id}: its image is not among the detections")
-        file = self._files[number]
+        file = self._files[found.number]
         masks = self._read(file, self.class_names)["masks"]
         seen = self._dataset.load(ref).observation
         if masks.shape[:2] != seen.mask.shape:
@@ -150,6 +128,28 @@ class DetectedDataset(WrappedDataset):
         if observation is None:
             raise DataError(f"{ref.id}: the mask of its detection has no pixel")
         return Sample(ref, observation, self._dataset.truth(ref))
+
+
+def _submission(folder: Path, files: Sequence[Path], classes: Sequence[str]) -> Submission:
+    """The boxes of all images, as answers without poses."""
+    images = []
+    for file in files:
+        found = _read(file, classes)
+        answers = Answers(
+            class_ids=found["class_ids"],
+            poses=np.full((len(found["class_ids"]), 4, 4), np.nan),
+            boxes=found["rois"].astype(np.float64),
+            scores=found["scores"].astype(np.float64),
+        )
+        images.append(Image(name=file.stem, answers=answers))
+    return Submission(
+        path=folder,
+        form="detections",
+        images=images,
+        classes=classes,
+        object_frame="nocs",
+        gives=frozenset(),
+    )
 
 
 def _files(folder: Path) -> list[Path]:

@@ -21,7 +21,7 @@ from pytest_cpas.reading.structured import LARGEST_JSON, json_value
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.jsonl import FORMAT, KINDS, VERSION, Header
 from pytest_cpas.types import Array, ContractError, DataError, Mesh, SampleRef, shown
-from pytest_cpas.types._arrays import frozen_array
+from pytest_cpas.types._arrays import LARGEST_PIXEL, frozen_array
 from pytest_cpas.types.names import checked_name, checked_text
 
 __all__ = ["read"]
@@ -31,8 +31,6 @@ LARGEST = 2**34
 MOST_HYPOTHESES = 1_000_000
 MOST_OF_LINE = 1000
 MOST_IN_IMAGE = 300
-
-_LARGEST_PIXEL = 1e9
 
 _PARTS = ("extents", "shape", "score")
 
@@ -259,7 +257,7 @@ def _take(
     box = None
     if told.get("box") is not None:
         box = _numbers(told["box"], (4,), f"{where}: box")
-        if not (np.abs(box) <= _LARGEST_PIXEL).all():
+        if not (np.abs(box) <= LARGEST_PIXEL).all():
             raise DataError(f"{where}: box is {shown(told['box'])}, expected y1, x1, y2, x2")
     reason, hypotheses = told.get("failure"), told.get("hypotheses")
     _check_answer(reason, hypotheses, where)

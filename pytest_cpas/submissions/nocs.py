@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from pytest_cpas.reading.arrays import Wanted, read_npz
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths, relative_extents
 from pytest_cpas.types import DataError
+from pytest_cpas.types._arrays import LARGEST_PIXEL
 
 __all__ = ["image_name", "image_of", "read", "submission"]
 
@@ -68,9 +69,6 @@ _ARRAYS = {
 MOST_IMAGES = 100_000
 MOST_IN_IMAGE = 300
 MOST_PAIRS = 1_000_000
-
-#: Coordinates of a 2-D box, pixels, are no larger.
-_LARGEST_PIXEL = 1e9
 
 
 def read(path: Path, classes: Sequence[str]) -> Submission:
@@ -247,8 +245,8 @@ def _array(values: Any) -> Any:
 
 def check_boxes(boxes: NDArray[np.float64], where: str, *, ordered: bool) -> None:
     """That 2-D boxes (n, 4) are pixels, and ``ordered`` ones y1, x1, y2, x2."""
-    if not (np.abs(boxes) <= _LARGEST_PIXEL).all():
-        raise DataError(f"{where} holds NaN or numbers above {_LARGEST_PIXEL:g}, expected pixels")
+    if not (np.abs(boxes) <= LARGEST_PIXEL).all():
+        raise DataError(f"{where} holds NaN or numbers above {LARGEST_PIXEL:g}, expected pixels")
     inverted = np.flatnonzero((boxes[:, 2:] < boxes[:, :2]).any(axis=1))
     if ordered and len(inverted):
         raise DataError(

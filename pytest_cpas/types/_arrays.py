@@ -24,6 +24,9 @@ LARGEST, SMALLEST_SIDE = 1e30, 1e-30
 #: The same for the metrics of poses and boxes: products of three of them are numbers still.
 LARGEST_OF_METRICS, SMALLEST_OF_METRICS = 1e100, 1e-100
 
+#: Largest magnitude of a coordinate or a focal length in an image, pixels.
+LARGEST_PIXEL = 1e9
+
 #: Largest finite number.
 MAX = sys.float_info.max
 

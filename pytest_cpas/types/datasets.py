@@ -165,6 +165,16 @@ def readers_of(dataset: Dataset) -> list[Callable[..., Any]]:
     return [*dict.fromkeys(readers)]
 
 
+def camera_of(dataset: Dataset, ref: SampleRef) -> Camera | None:
+    """The camera of a sample's image, which is opened if there are several cameras; None where only
+    the truth is there."""
+    if dataset.camera is not None or ref.id in dataset.absent:
+        return dataset.camera
+    if dataset.unseen(ref) is None:
+        return dataset.load(ref).observation.camera
+    return camera_of(dataset.wrapped, ref) if isinstance(dataset, WrappedDataset) else None
+
+
 #: What has no default.
 _REQUIRED = ("name", "samples", "digest", "missing", "damaged", "load")
 

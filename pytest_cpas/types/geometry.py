@@ -7,7 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pytest_cpas.types._arrays import Array, checked_integer, checked_number, frozen_array
+from pytest_cpas.types._arrays import (
+    LARGEST_PIXEL,
+    Array,
+    checked_integer,
+    checked_number,
+    frozen_array,
+)
 from pytest_cpas.types.errors import ContractError
 
 __all__ = ["Camera", "Mesh", "Pose", "Symmetry"]
@@ -15,8 +21,8 @@ __all__ = ["Camera", "Mesh", "Pose", "Symmetry"]
 
 _IDENTITY = np.eye(3)
 
-#: Largest side of an image, and coordinate or focal length, pixels.
-_LARGEST_IMAGE, _LARGEST_PIXEL = 2**20, 1e9
+#: Largest side of an image, pixels.
+_LARGEST_IMAGE = 2**20
 
 #: Largest entry of ``R @ R.T - I`` that still counts as a rotation (float32 networks reach 1e-6).
 ORTHONORMAL_TOLERANCE = 1e-4
@@ -45,11 +51,11 @@ class Camera:
         seen = f"camera: fx, fy, cx, cy are {(self.fx, self.fy, self.cx, self.cy)!s:.200}"
         try:
             focal = [
-                checked_number(f, "fx, fy", 1 / _LARGEST_PIXEL, _LARGEST_PIXEL)
+                checked_number(f, "fx, fy", 1 / LARGEST_PIXEL, LARGEST_PIXEL)
                 for f in (self.fx, self.fy)
             ]
             centre = [
-                checked_number(c, "cx, cy", -_LARGEST_PIXEL, _LARGEST_PIXEL)
+                checked_number(c, "cx, cy", -LARGEST_PIXEL, LARGEST_PIXEL)
                 for c in (self.cx, self.cy)
             ]
         except ContractError:

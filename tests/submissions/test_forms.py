@@ -4,6 +4,7 @@ import forms
 import numpy as np
 import pytest
 
+from pytest_cpas.datasets import housecat
 from pytest_cpas.datasets.nocs import Real275
 from pytest_cpas.evaluation import StoredRun
 from pytest_cpas.submissions import read_submission
@@ -102,18 +103,7 @@ def test_truth_that_is_not_all_there(lacks, tmp_path, dataset, nocs):
 class TenClasses(Real275):
     """A data set that has its own classes, and publishes poses in the harness's axes."""
 
-    class_names = (
-        "box",
-        "bottle",
-        "can",
-        "cup",
-        "remote",
-        "teapot",
-        "cutlery",
-        "glass",
-        "shoe",
-        "tube",
-    )
+    class_names = housecat.CATEGORIES
     published_axes = None
 
 

@@ -28,6 +28,7 @@ from pytest_cpas.types import (
     SampleRef,
     as_dataset,
 )
+from pytest_cpas.types.datasets import mask_box
 
 __all__ = [
     "ImageFacts",
@@ -284,14 +285,13 @@ def _inside_seen(mesh: Mesh, axis: int, sign: int) -> float:
 
 def _overlap(mask: NDArray[np.bool_], pixels: Array) -> float:
     """Share of the mask's bounding rectangle within that of ``pixels`` (n, 2)."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    top, left, bottom, right = mask_box(mask)
     share = 1.0
-    for first, last, low, high in (
-        (columns[0], columns[-1], *_range(pixels[:, 0])),
-        (rows[0], rows[-1], *_range(pixels[:, 1])),
+    for first, end, low, high in (
+        (left, right, *_range(pixels[:, 0])),
+        (top, bottom, *_range(pixels[:, 1])),
     ):
-        length = last - first + 1
-        share *= max(0.0, min(last + 0.5, high) - max(first - 0.5, low)) / length
+        share *= max(0.0, min(end - 0.5, high) - max(first - 0.5, low)) / (end - first)
     return float(share)
 
 
