@@ -158,6 +158,10 @@ class RunDocument(TypedDict):
     judged: Annotated[Natural, "Samples with a row."]
     listed: Annotated[Natural, "Samples that there are, judged or not."]
     unanswered: Annotated[Natural, "Judged samples for which the method gave no answer."]
+    failures: Annotated[
+        NotRequired[dict[str, Positive]],
+        "The most frequent reasons why, and how many samples have each.",
+    ]
     scenes: Annotated[
         Natural | None, "Of the judged samples; null if it is not known of all of them."
     ]

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -168,10 +166,6 @@ class StoredRun(Run):
 
     @functools.cached_property
     def _notes(self) -> Sequence[str]:
-        counts: Counter[str] = Counter()
-        for ref in self.samples:
-            with suppress(ContractError):  # which the sample says itself
-                counts.update(filter(None, self._answers(ref)[2:]))
         notes = [*self._submission.notes, *self._pairing.notes]
         told, known = self._submission.provenance.get("data"), self._dataset.digest
         if told is not None and told != known:
@@ -188,9 +182,6 @@ class StoredRun(Run):
             notes += audit(self._submission, self._pairing, self._dataset)
         except ContractError as error:
             notes.append(f"the file was not audited: {error}")
-        if counts:
-            kinds = ", ".join(f"{count} {reason}" for reason, count in counts.most_common())
-            notes.append(f"no answer for {counts.total()} of {len(self.samples)} samples: {kinds}")
         return notes
 
     def _ranked(self, number: int, row: int) -> Hypothesis | None:

@@ -81,6 +81,8 @@ def _problems(run: RunDocument, columns: list[str], thresholds: int) -> Iterator
             yield f"{count['judged']} of {count['listed']} {shown(category)} are judged"
     if run["unanswered"] > run["judged"]:
         yield f"{run['unanswered']} of {run['judged']} judged samples are unanswered"
+    if sum(run.get("failures", {}).values()) > run["unanswered"]:
+        yield f"{run['unanswered']} samples are unanswered, and more have a reason why"
     judged = {ALL: run["judged"], **{k: n["judged"] for k, n in run["categories"].items()}}
     listed = {ALL: run["listed"], **{k: n["listed"] for k, n in run["categories"].items()}}
     for part, labels in (("precision", columns[:thresholds]), ("guards", columns[thresholds:])):

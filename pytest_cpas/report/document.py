@@ -71,6 +71,9 @@ CURVES: Mapping[CurveName, Sequence[float]] = {
     "fscore_1cm": [i / 20 for i in range(21)],
 }
 
+#: Reasons without an answer that are told of a run.
+_MOST_FAILURES = 20
+
 #: Outcomes, the worst first. "skipped": a verdict could not be given, and none was required.
 SEVERITY: Sequence[ItemOutcome] = ("failed", "skipped", "passed")
 
@@ -170,6 +173,8 @@ def run_document(
         "definitions": dict(run.definitions),
         "provenance": dict(run.provenance),
     }
+    if failures := Counter(s.failure for s in new.samples.values() if s.failure):
+        content["failures"] = dict(failures.most_common(_MOST_FAILURES))
     if run.notes:
         content["notes"] = list(run.notes)
     return content

@@ -20,6 +20,7 @@ from pytest_cpas.documents import (
     VerdictDocument,
 )
 from pytest_cpas.report.document import SEVERITY
+from pytest_cpas.types import shortened, some_of
 from pytest_cpas.types.samples import ALL
 
 _OUTCOMES: Mapping[ItemOutcome, str] = {
@@ -55,7 +56,9 @@ def method_title(name: str, paper: bool) -> str:
 def judged_message(run: RunDocument) -> str:
     """How many samples a verdict is about."""
     answers = f", {run['unanswered']} without an answer" if run["unanswered"] else ""
-    return f"{run['judged']} of {run['listed']} samples judged{answers}"
+    kinds = [f"{count} {shortened(why, 80)}" for why, count in run.get("failures", {}).items()]
+    why = f": {some_of(kinds)}" if kinds else ""
+    return f"{run['judged']} of {run['listed']} samples judged{answers}{why}"
 
 
 def verdict_message(verdict: VerdictDocument) -> str:

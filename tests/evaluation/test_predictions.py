@@ -9,6 +9,8 @@ from pytest_cpas.evaluation import SampleError
 from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.golden import RunTable, Word, compare
 from pytest_cpas.protocols import PAPER, count_columns, judge_outcomes, shipped_protocol
+from pytest_cpas.report.document import run_document
+from pytest_cpas.report.messages import judged_message
 from pytest_cpas.submissions import read_submission
 from pytest_cpas.submissions.pairing import assign
 from pytest_cpas.types import ContractError
@@ -179,7 +181,8 @@ def test_failed_answer_stays_in_the_denominator(path, changed, failure):
     rows = [run.judge(ref) for ref in run.samples]
     assert [row.failure for row in rows] == [None, None, failure]
     assert rows[2].facts["position_m"] == np.inf
-    assert run.notes[-1] == f"no answer for 1 of 3 samples: 1 {failure}"
+    document = run_document(run, RunTable.of(run, rows))
+    assert judged_message(document) == f"3 of 3 samples judged, 1 without an answer: 1 {failure}"
 
 
 @pytest.mark.parametrize(

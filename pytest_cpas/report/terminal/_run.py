@@ -58,7 +58,7 @@ def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
         terminal.write_table(_sample_lines(run["samples"]))
     if run["judged"]:
         _print_tables(terminal, run)
-    terminal.write_line(judged_message(run))
+    _wrapped(terminal, judged_message(run))
     terminal.write_line(f"rows: {origin}")
     by_word: dict[str, list[VerdictDocument]] = {}
     for verdict in run["verdicts"]:
