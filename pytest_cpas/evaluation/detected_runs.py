@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 from pytest_cpas.evaluation.estimates import decode_hypothesis
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun
@@ -12,8 +12,8 @@ from pytest_cpas.evaluation.rows import Detection, Row
 from pytest_cpas.evaluation.runs import SampleError
 from pytest_cpas.facts import Detected, pair_table
 from pytest_cpas.protocols import Ranking, facts_of, rank, ranking_columns
-from pytest_cpas.submissions import DetectedDataset, Found
-from pytest_cpas.types import DataError, Method, Sample, SampleRef
+from pytest_cpas.submissions import DetectedDataset, Found, Given
+from pytest_cpas.types import DataError, Method, Prediction, Sample, SampleRef
 
 __all__ = ["DetectedRun"]
 
@@ -29,37 +29,49 @@ class DetectedRun(MethodRun):
         super().__init__(method, dataset, **options)
         self._detected = dataset
 
+    @property
+    def answers_give(self) -> frozenset[Literal["extents", "shape", "score"]]:
+        """What the method gives, and the score of the detector, which ranks."""
+        return self._method.info.gives | {"score"}
+
     def judge(self, ref: SampleRef) -> Row:
         """The row of a sample, with the detections that are ranked with it."""
-        row = super().judge(ref)
+        row, answer = self._judged(ref)
         seen = self._detected.unseen(ref) is None
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
-        detections = []
+        detections, others = [], []
         for index, found in enumerate(self._detected.ranked_with(ref)):
-            if found.category in self._method.info.categories:
-                is_own = seen and index == 0
-                estimate = row.estimate if is_own else self._estimate(ref, found, where)
-                detections.append(
-                    Detection(
-                        name=found.name,
-                        image=found.image,
-                        category=found.category,
-                        score=found.score,
-                        estimate=estimate,
-                    )
+            if found.category not in self._method.info.categories:
+                continue
+            if seen and index == 0:
+                estimate, answer = row.estimate, _ranked(answer, found)
+            else:
+                estimate, other = self._further(ref, found, where)
+                others.append(_ranked(_best(other), found))
+            detections.append(
+                Detection(
+                    name=found.name,
+                    image=found.image,
+                    category=found.category,
+                    score=found.score,
+                    estimate=estimate,
                 )
+            )
+        if self.take_answer is not None:
+            self.take_answer(ref, self._dataset.image_of(ref), answer, others)
         return replace(row, detections=tuple(detections))
 
-    def _estimate(self, ref: SampleRef, found: Found, where: str) -> str | None:
-        """The answer about a further detection; None where there is none, or where its mask has no
-        pixel."""
+    def _further(self, ref: SampleRef, found: Found, where: str) -> tuple[str | None, Given]:
+        """The answer about a further detection; none where its mask has no pixel."""
         where = f"{where}, detection {found.name}"
         try:
             observation = self._detected.observe(ref, found)
             if observation is None:
-                return None
+                failed = Prediction.failed("its mask is empty")
+                return None, Given(found.category, failed, None)
             sample = Sample(ref, observation, self.truth(ref))
-            return self._answer(self.loaded(), ref, sample, self.seed, where)[0].estimate
+            answer, _, given = self._answer(self.loaded(), ref, sample, self.seed, where)
+            return answer.estimate, self._given(given, observation)
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
         except MethodError as error:
@@ -88,3 +100,20 @@ class DetectedRun(MethodRun):
         truths = [(image(ref), ref.category, self.truth(ref)) for ref in self.samples]
         gives = self._method.info.gives - {"shape"}
         return rank(columns, pair_table(facts_of(columns), detected, truths, gives))
+
+
+def _best(answer: Given) -> Given:
+    """An answer without its further hypotheses."""
+    prediction = answer.prediction
+    best = Prediction(prediction.hypotheses[:1], reason=prediction.reason)
+    return answer._replace(prediction=best)
+
+
+def _ranked(answer: Given, found: Found) -> Given:
+    """An answer with box and score of its detection; of further hypotheses none is ranked."""
+    hypotheses = tuple(
+        replace(hypothesis, score=None if number else found.score)
+        for number, hypothesis in enumerate(answer.prediction.hypotheses)
+    )
+    prediction = Prediction(hypotheses, reason=answer.prediction.reason)
+    return Given(found.category, prediction, found.box, found.score)

@@ -22,6 +22,7 @@ from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
 from pytest_cpas.reading.checkpoints import LARGEST_CHECKPOINT
 from pytest_cpas.reading.files import sha256
+from pytest_cpas.submissions import Given
 from pytest_cpas.types import (
     AnswerError,
     ContractError,
@@ -30,6 +31,7 @@ from pytest_cpas.types import (
     GroundTruth,
     Method,
     MethodInfo,
+    Observation,
     Prediction,
     Sample,
     SampleRef,
@@ -222,12 +224,18 @@ class MethodRun(Run):
 
     def judge(self, ref: SampleRef) -> Row:
         """Read, predict, validate, measure."""
+        row, answer = self._judged(ref)
+        if self.take_answer is not None:
+            self.take_answer(ref, self._dataset.image_of(ref), answer, ())
+        return row
+
+    def _judged(self, ref: SampleRef) -> tuple[Row, Given]:
+        """The row of a sample, and the answer that it is about, that under the first seed."""
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         try:
             if reason := self._dataset.unseen(ref):
-                row = self._unseen(ref, reason)
-                self._hand_over(ref, Prediction.failed(reason), None)
-                return row
+                nothing = Given(ref.category, Prediction.failed(reason), None)
+                return self._unseen(ref, reason), nothing
             sample = self.read(ref)
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
@@ -239,15 +247,13 @@ class MethodRun(Run):
             *(self._answer(method, ref, sample, self.seed + n, where) for n in range(self.seeds)),
             strict=True,
         )
-        self._hand_over(ref, predictions[0], sample)
-        return Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
+        row = Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
+        return row, self._given(predictions[0], sample.observation)
 
-    def _hand_over(self, ref: SampleRef, prediction: Prediction, sample: Sample | None) -> None:
-        """Give an answer to whoever keeps it, with the 2-D box of what the method has seen."""
-        if self.take_answer is not None:
-            box = None if sample is None else mask_box(sample.observation.mask)
-            standard = standard_prediction(prediction, self._method.info)
-            self.take_answer(ref, self._dataset.image_of(ref), standard, box)
+    def _given(self, prediction: Prediction, observation: Observation) -> Given:
+        """An answer in the standard frames, with the 2-D box of what the method has seen."""
+        standard = standard_prediction(prediction, self._method.info)
+        return Given(observation.category, standard, mask_box(observation.mask))
 
     def _unseen(self, ref: SampleRef, reason: str) -> Row:
         """The row of a sample that there is nothing to ask about."""

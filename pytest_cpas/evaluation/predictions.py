@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
@@ -18,6 +20,7 @@ from pytest_cpas.facts import Detected, fact, pair_table
 from pytest_cpas.protocols import Protocol, Ranking, facts_of, rank, ranking_columns
 from pytest_cpas.submissions import (
     Answers,
+    Given,
     OwnTruth,
     Pairing,
     audit,
@@ -107,11 +110,7 @@ class StoredRun(Run):
         if isinstance(row, ContractError):
             raise SampleError(f"{self.method}, sample {ref.id} ({ref.category}): {row}")
         if self.take_answer is not None:
-            number, rows, _ = self._answers(ref)
-            boxes = self._submission.images[number].answers.boxes if rows else None
-            answer = standard_prediction(self._prediction(ref), self.info)
-            box = None if boxes is None else boxes[rows[0]]
-            self.take_answer(ref, self._dataset.image_of(ref), answer, box)
+            self.take_answer(ref, self._dataset.image_of(ref), *self._given(ref))
         return row
 
     def truth(self, ref: SampleRef) -> GroundTruth:
@@ -266,6 +265,45 @@ class StoredRun(Run):
         if reason is not None:
             return Prediction.failed(reason)
         return Prediction(tuple(self._hypothesis(number, row) for row in rows))
+
+    def _given(self, ref: SampleRef) -> tuple[Given, list[Given]]:
+        """What a file says of a sample in the standard frames, and what else it has found that is
+        ranked with it: what is no pose, and, with the first of an image, what is no sample's."""
+        number, answered, reason = self._answers(ref)
+        if number < 0:
+            return Given(ref.category, Prediction.failed(reason or ""), None), []
+        assigned = self._pairing.found(number).answers
+        told = answered or assigned[ref.id][:1]
+        others = [row for row in assigned[ref.id] if row not in told]
+        if ref == self._pairing.refs(number)[0]:
+            taken = {row for rows in assigned.values() for row in rows}
+            answers = self._submission.images[number].answers
+            others += [row for row, _ in names(self._submission, "", answers) if row not in taken]
+        if not told:
+            answer = Given(ref.category, Prediction.failed(reason or ""), None)
+        else:
+            answer = self._told(ref, number, told)
+        return answer, [self._told(ref, number, [row]) for row in others]
+
+    def _told(self, ref: SampleRef, number: int, rows: Sequence[int]) -> Given:
+        """The answer in some rows of an image, the best first."""
+        answers, best = self._submission.images[number].answers, rows[0]
+        reason = self._failures(number)[best]
+        try:
+            prediction = Prediction(
+                tuple(self._hypothesis(number, row) for row in rows if reason is None),
+                reason=reason,
+            )
+        except ContractError as error:
+            prediction = Prediction.failed(str(error))
+        boxes, scores = answers.boxes, answers.scores
+        ranked = "score" in self.info.gives and scores is not None and not np.isnan(scores[best])
+        return Given(
+            category=self._submission.category(int(answers.class_ids[best])) or ref.category,
+            prediction=standard_prediction(prediction, self.info),
+            box=None if boxes is None or np.isnan(boxes[best]).any() else boxes[best],
+            score=float(scores[best]) if ranked and scores is not None else None,
+        )
 
     @functools.cached_property
     def _known(self) -> frozenset[str]:

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -26,13 +27,12 @@ from pytest_cpas.protocols import (
     score_columns,
     shipped_protocol,
 )
+from pytest_cpas.submissions import Given
 from pytest_cpas.types import (
     CATEGORIES,
-    Array,
     DataError,
     GroundTruth,
     MethodInfo,
-    Prediction,
     SampleRef,
     ToldError,
     shortened,
@@ -117,8 +117,8 @@ class Run(ABC):
     focal: float | None = None
     classes: Sequence[str] = CATEGORIES
     robustness_point: RobustnessPoint | None = None
-    #: Where answers go that are judged, each with its image and 2-D box, if somebody keeps them.
-    take_answer: Callable[[SampleRef, str, Prediction, Array | None], None] | None = None
+    #: Where answers go that are judged, if somebody keeps them: see :class:`SavedAnswers`.
+    take_answer: Callable[[SampleRef, str, Given, Sequence[Given]], None] | None = None
 
     provenance: Mapping[str, str] = {
         "platform": f"{platform.system()} {platform.machine()}",
@@ -167,6 +167,11 @@ class Run(ABC):
     def notes(self) -> Sequence[str]:
         """What else people should know of what is judged, one line each."""
         return ()
+
+    @property
+    def answers_give(self) -> frozenset[Literal["extents", "shape", "score"]]:
+        """What the answers have that :attr:`take_answer` is given."""
+        return self.info.gives if self.info else frozenset()
 
     @abstractmethod
     def judge(self, ref: SampleRef) -> Row:

@@ -10,7 +10,7 @@ goes on if its rows are kept too.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -22,8 +22,8 @@ from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run
 from pytest_cpas.reading.files import opened
 from pytest_cpas.reading.structured import json_value
-from pytest_cpas.submissions import Header, answer_line
-from pytest_cpas.types import Array, ContractError, DataError, Hypothesis, Prediction, SampleRef
+from pytest_cpas.submissions import Given, Header, answer_line
+from pytest_cpas.types import ContractError, DataError, Hypothesis, SampleRef
 
 __all__ = ["SavedAnswers"]
 
@@ -55,13 +55,14 @@ class SavedAnswers:
         #: What has become of the file, in words.
         self.told = f"predictions: unfinished, {target} is as it was"
 
-    def add(self, ref: SampleRef, image: str, prediction: Prediction, box: Array | None) -> None:
+    def add(self, ref: SampleRef, image: str, answer: Given, others: Sequence[Given] = ()) -> None:
         """Take in an answer in the standard frames; :class:`ResultsError` if no disk takes it.
 
-        ``image``: that it is about, as the data set names it; ``box`` (4,): y1, x1, y2, x2.
+        ``image``: that it is about, as the data set names it; ``others``: detections in it that are
+        ranked with the sample, and are no answer about one.
         """
-        about = {"sample": ref.id, "category": ref.category, "image": image}
-        rest = answer_line(about, prediction, box).encode() + b"\n"
+        line = answer_line(image, ref.id, answer, self._run.answers_give, others)
+        rest = line.encode() + b"\n"
         try:
             self._own.parent.mkdir(parents=True, exist_ok=True)
             # unbuffered and closed: whoever ends this process may do so any moment
@@ -136,7 +137,7 @@ class SavedAnswers:
         seeds = {"answers": f"of seed {self._seed}"} if run.seeds > 1 else {}
         return Header(
             object_frame="shapenet",
-            gives=run.info.gives if run.info else frozenset(),
+            gives=run.answers_give,
             classes=list(dict.fromkeys((*run.classes, *(ref.category for ref in run.samples)))),
             method=run.method,
             dataset=run.dataset,

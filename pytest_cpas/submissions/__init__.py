@@ -6,7 +6,7 @@ from pytest_cpas.submissions.bop_csv import HEADER as BOP_HEADER
 from pytest_cpas.submissions.bop_csv import line as bop_line
 from pytest_cpas.submissions.detections import DetectedDataset, Found
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
-from pytest_cpas.submissions.jsonl import Header, answer_line
+from pytest_cpas.submissions.jsonl import Given, Header, answer_line
 from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.submissions.reading import read_submission
 from pytest_cpas.submissions.truth import OwnTruth, symmetry_in_view, truth_of
@@ -17,6 +17,7 @@ __all__ = [
     "Answers",
     "DetectedDataset",
     "Found",
+    "Given",
     "Header",
     "Image",
     "OwnTruth",

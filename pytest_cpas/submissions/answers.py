@@ -122,13 +122,15 @@ def hypothesis(
     Raises :class:`AnswerError` that begins with ``where`` for what is none.
     """
     try:
+        score = None if answers.scores is None else float(answers.scores[index])
+        score = None if score is None or np.isnan(score) else score
         shape = answers.shapes[index] if shaped and answers.shapes is not None else None
         rotation, translation = rigid(answers, index, half=half)
         return Hypothesis(
             rotation=rotation,
             translation=translation,
             extents=None if answers.extents is None else answers.extents[index],
-            score=None if answers.scores is None else float(answers.scores[index]),
+            score=score,
             mesh=shape if isinstance(shape, Mesh) else None,
             points=None if isinstance(shape, Mesh) else shape,
         )

@@ -24,7 +24,7 @@ from pytest_cpas.submissions.answers import names
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.nocs import check_boxes, check_class_ids
 from pytest_cpas.submissions.pairing import Pairing
-from pytest_cpas.types import DataError, Dataset, Observation, Sample, SampleRef
+from pytest_cpas.types import Array, DataError, Dataset, Observation, Sample, SampleRef
 from pytest_cpas.types.datasets import WrappedDataset
 from pytest_cpas.types.names import checked_name
 
@@ -38,13 +38,14 @@ _MOST_IMAGES, _MOST_IN_IMAGE = 100_000, 300
 
 
 class Found(NamedTuple):
-    """A detection: what it is called among all, its image and category, how sure the detector is;
-    the number of the image's file, and the row in it."""
+    """A detection: what it is called among all, its image and category, how sure the detector is,
+    its 2-D box (4,): y1, x1, y2, x2; the number of the image's file, and the row in it."""
 
     name: str
     image: str
     category: str
     score: float
+    box: Array
     number: int
     row: int
 
@@ -72,7 +73,10 @@ class DetectedDataset(WrappedDataset):
         number = self._pairing.number(ref)
         if number is None:
             return "whose image is not among the detections"
-        return None if self._pairing.found(number).answers[ref.id] else "not detected"
+        rows = self._pairing.found(number).answers[ref.id]
+        if not rows:
+            return "not detected"
+        return None if self._mask(number, rows[0]).any() else "the mask of its detection is empty"
 
     def ranked_with(self, ref: SampleRef) -> list[Found]:
         """The detections that are ranked with a sample, the one that it is seen by first: all that
@@ -84,7 +88,8 @@ class DetectedDataset(WrappedDataset):
         taken = {row for rows in assigned.values() for row in rows}
         wanted = set(assigned[ref.id])
         answers = self._detections.images[number].answers
-        scores: Any = answers.scores  # which every detection has
+        scores: Any = answers.scores  # which every detection has, and a box
+        boxes: Any = answers.boxes
         if ref == self._pairing.refs(number)[0]:
             wanted |= set(range(len(answers))) - taken
         image = self._pairing.images[number]
@@ -94,6 +99,7 @@ class DetectedDataset(WrappedDataset):
                 image=image,
                 category=self._detections.category(int(answers.class_ids[row])),
                 score=float(scores[row]),
+                box=boxes[row],
                 number=number,
                 row=row,
             )
@@ -105,28 +111,30 @@ class DetectedDataset(WrappedDataset):
     def observe(self, ref: SampleRef, found: Found) -> Observation | None:
         """What a method sees of a detection in the image of a sample; None of a mask without a
         pixel. Raises :class:`DataError` naming the file that is damaged."""
-        file = self._files[found.number]
-        masks = self._read(file, self.class_names)["masks"]
-        seen = self._dataset.load(ref).observation
-        if masks.shape[:2] != seen.mask.shape:
-            raise DataError(
-                f"{file}: masks of {masks.shape[1]} x {masks.shape[0]}, but the image is"
-                f" {seen.mask.shape[1]} x {seen.mask.shape[0]}"
-            )
-        mask = np.ascontiguousarray(masks[:, :, found.row] != 0)
+        mask = self._mask(found.number, found.row)
         if not mask.any():
             return None
+        seen = self._dataset.load(ref).observation
+        if mask.shape != seen.mask.shape:
+            raise DataError(
+                f"{self._files[found.number]}: masks of {mask.shape[1]} x {mask.shape[0]}, but the"
+                f" image is {seen.mask.shape[1]} x {seen.mask.shape[0]}"
+            )
         return Observation(
             category=found.category, rgb=seen.rgb, depth=seen.depth, mask=mask, camera=seen.camera
         )
 
+    def _mask(self, number: int, row: int) -> NDArray[np.bool_]:
+        """The mask (H, W) of a detection."""
+        masks = self._read(self._files[number], self.class_names)["masks"]
+        return np.ascontiguousarray(masks[:, :, row] != 0)
+
     def load(self, ref: SampleRef) -> Sample:
         """Read one sample; its mask is the detector's. Raises :class:`DataError` without one."""
-        if reason := self.unseen(ref):
-            raise DataError(f"{ref.id}: {reason}")
-        observation = self.observe(ref, self.ranked_with(ref)[0])
+        reason = self.unseen(ref)
+        observation = None if reason else self.observe(ref, self.ranked_with(ref)[0])
         if observation is None:
-            raise DataError(f"{ref.id}: the mask of its detection has no pixel")
+            raise DataError(f"{ref.id}: {reason}")
         return Sample(ref, observation, self._dataset.truth(ref))
 
 

@@ -50,7 +50,8 @@ class Truths(Objects):
 class Answers(Objects):
     """The answers about an image.
 
-    Which object one is about is said by ``samples`` (n,), the ids of the data set; or by ``truths``
+    Which object one is about is said by ``samples`` (n,), the ids of the data set, empty of what is
+    no sample's but was found all the same; or by ``truths``
     (n,), the row among the file's own truths, -1 for none; else by class and 2-D box, or by class
     and position where a form has no boxes. ``scores``
     (n,): larger is surer. ``shapes`` (n,): mesh or points (N, 3) in the object frame, metres, or

@@ -18,7 +18,11 @@ Every other line is about one sample:
   row; ``translation``, 3 numbers, metres; ``extents``, 3 side lengths, metres; ``score``, larger is
   surer; the shape in the object frame, metres, as ``points`` or as ``mesh`` with ``vertices`` and
   ``triangles``;
-* or ``failure``: why there is no answer; ``score`` if it is a detection all the same.
+* or ``failure``: why there is no answer; ``score`` if it is a detection all the same;
+* if there are any, ``detections``: what was found in its image beside the samples, for a ranking;
+  each with ``category``, ``box``, and one hypothesis or ``failure`` as above.
+
+A ``score`` of null takes no part in a ranking.
 
 Where the samples are not known, no line has ``sample``: each is a detection with one hypothesis,
 which belongs to an object of its category by its ``box``, or by its position. Points, vertices and
@@ -31,16 +35,16 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.types import Array, Prediction
 
-__all__ = ["FORMAT", "KINDS", "VERSION", "Header", "answer_line"]
+__all__ = ["FORMAT", "KINDS", "VERSION", "Given", "Header", "answer_line"]
 
 FORMAT, VERSION = "cpas-predictions", 1
 
@@ -71,31 +75,53 @@ class Header:
         return _json(told)
 
 
+class Given(NamedTuple):
+    """An answer about an object: ``category``, empty where it is not known; ``box`` (4,): y1, x1,
+    y2, x2 in pixels; ``score``: how sure it is that there is one, of a detection without an answer.
+    """
+
+    category: str
+    prediction: Prediction
+    box: Array | None
+    score: float | None = None
+
+
 def answer_line(
-    about: Mapping[str, str], prediction: Prediction, box: Array | None, score: float | None = None
+    image: str,
+    sample: str | None,
+    answer: Given,
+    gives: Collection[str],
+    others: Sequence[Given] = (),
 ) -> str:
     """The line of an answer, without its end.
 
-    ``about``: its ``image``, and its ``sample`` and ``category`` where they are known; ``box``
-    (4,): y1, x1, y2, x2 in pixels; ``score``: of a failure. The frames of the hypotheses are the
-    header's.
+    ``sample``: None where it is not known; ``gives``: that of the header, whose frames those of the
+    hypotheses are; ``others``: what else was found in the image, and is told with this sample.
     """
-    told: dict[str, Any] = dict(about)
-    if box is not None:
-        told["box"] = box.tolist()
-    if not prediction.hypotheses:
-        if score is not None:
-            told["score"] = score
-        return _json({**told, "failure": prediction.reason})
+    told: dict[str, Any] = {} if sample is None else {"sample": sample}
+    told |= {"image": image, **_told(answer, gives)}
+    if others:
+        told["detections"] = [_told(other, gives) for other in others]
+    return _json(told)
+
+
+def _told(answer: Given, gives: Collection[str]) -> dict[str, Any]:
+    told: dict[str, Any] = {"category": answer.category} if answer.category else {}
+    if answer.box is not None:
+        told["box"] = answer.box.tolist()
+    if not answer.prediction.hypotheses:
+        if answer.score is not None:
+            told["score"] = answer.score
+        return {**told, "failure": answer.prediction.reason}
     hypotheses = []
-    for hypothesis in prediction.hypotheses:
+    for hypothesis in answer.prediction.hypotheses:
         each: dict[str, Any] = {
             "rotation": hypothesis.rotation.tolist(),
             "translation": hypothesis.translation.tolist(),
         }
         if hypothesis.extents is not None:
             each["extents"] = hypothesis.extents.tolist()
-        if hypothesis.score is not None:
+        if "score" in gives:
             each["score"] = hypothesis.score
         if hypothesis.mesh is not None:
             each["mesh"] = {
@@ -105,7 +131,7 @@ def answer_line(
         elif hypothesis.points is not None:
             each["points"] = _encoded(hypothesis.points)
         hypotheses.append(each)
-    return _json({**told, "hypotheses": hypotheses})
+    return {**told, "hypotheses": hypotheses}
 
 
 def _json(value: Any) -> str:

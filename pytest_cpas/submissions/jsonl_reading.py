@@ -3,83 +3,48 @@ are only checked then, and read again when they are asked for."""
 
 from __future__ import annotations
 
-import base64
-import binascii
 import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pytest_cpas.reading.files import opened
 from pytest_cpas.reading.structured import LARGEST_JSON, json_value
 from pytest_cpas.submissions.frames import Answers, Image, Submission
-from pytest_cpas.submissions.jsonl import FORMAT, KINDS, VERSION, Header
-from pytest_cpas.types import Array, ContractError, DataError, Mesh, SampleRef, shown
-from pytest_cpas.types._arrays import LARGEST_PIXEL, frozen_array
+from pytest_cpas.submissions.jsonl import FORMAT, VERSION, Header
+from pytest_cpas.submissions.jsonl_parts import (
+    LARGEST,
+    SHAPES,
+    Place,
+    Shapes,
+    check_keys,
+    numbers,
+    shape_of,
+    table,
+)
+from pytest_cpas.types import Array, ContractError, DataError, SampleRef, shown
+from pytest_cpas.types._arrays import LARGEST_PIXEL
 from pytest_cpas.types.names import checked_name, checked_text
 
 __all__ = ["read"]
 
-#: Largest file, bytes; hypotheses of a file, of a line, and detections in an image.
-LARGEST = 2**34
+#: Hypotheses of a file, of a line, and detections in an image.
 MOST_HYPOTHESES = 1_000_000
 MOST_OF_LINE = 1000
 MOST_IN_IMAGE = 300
 
 _PARTS = ("extents", "shape", "score")
 
-_LINE = {"sample", "category", "image", "box", "hypotheses", "failure", "score"}
+_DETECTION = {"category", "box", "hypotheses", "failure", "score"}
+
+_LINE = _DETECTION | {"sample", "image", "detections"}
 
 _HYPOTHESIS = {"rotation", "translation", "extents", "score", "points", "mesh"}
-
-_SHAPES = {"points", "mesh"}
-
-
-class _Place(NamedTuple):
-    """Where a shape is: a line of a file, and the hypothesis in it."""
-
-    file: Path
-    offset: int
-    length: int
-    hypothesis: int
-
-
-class _Shapes(Sequence[Mesh | Array | None]):
-    """Shapes that are read when they are asked for: those of a data set fill more than memory."""
-
-    def __init__(self, places: Sequence[_Place | None]) -> None:
-        self._places = places
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-    @overload
-    def __getitem__(self, index: int) -> Mesh | Array | None: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Mesh | Array | None]: ...
-    def __getitem__(
-        self, index: int | slice
-    ) -> Mesh | Array | Sequence[Mesh | Array | None] | None:
-        if isinstance(index, slice):
-            return _Shapes(self._places[index])
-        place = self._places[index]
-        if place is None:
-            return None
-        with opened(place.file, LARGEST) as file:
-            file.seek(place.offset)
-            line = file.read(place.length)
-        where = f"{place.file}, byte {place.offset}"
-        try:
-            told = json_value(where, line)["hypotheses"][place.hypothesis]
-            return _shape(told, where)
-        except (DataError, LookupError, TypeError) as error:
-            raise DataError(f"{where}: the file has changed since it was read ({error})") from None
 
 
 @dataclass
@@ -93,8 +58,9 @@ class _Rows:
     samples: list[str] = field(default_factory=list)
     ranks: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
-    places: list[_Place | None] = field(default_factory=list)
+    places: list[Place | None] = field(default_factory=list)
     reasons: list[str | None] = field(default_factory=list)
+    detected: int = 0
 
     def image(self, name: str, header: Header) -> Image:
         named = bool(self.samples)
@@ -114,7 +80,7 @@ class _Rows:
                 samples=self.samples if named else None,
                 ranks=np.array(self.ranks, dtype=np.int64) if named else None,
                 scores=np.array(self.scores) if "score" in header.gives else None,
-                shapes=_Shapes(self.places) if "shape" in header.gives else None,
+                shapes=Shapes(self.places) if "shape" in header.gives else None,
                 reasons=self.reasons,
             ),
         )
@@ -142,7 +108,7 @@ def read(path: Path) -> Submission:
                     " name one of them"
                 )
         for where, content, offset in lines:
-            place = _Place(file, offset, len(content), 0)
+            place = Place(file, offset, len(content))
             _take(json_value(where, content), where, place, first, images, seen, counts)
     if first is None:
         raise DataError(f"{path}: no .jsonl files in this folder")
@@ -183,7 +149,7 @@ def _lines(file: Path) -> Iterator[tuple[str, bytes, int]]:
 
 
 def _header(where: str, content: bytes, _: int) -> Header:
-    told = _table(json_value(where, content), where) if content else {}
+    told = table(json_value(where, content), where) if content else {}
     if told.get("format") != FORMAT:
         raise DataError(
             f"{where}: expected the header of a file of --cpas-save-predictions, with"
@@ -194,7 +160,7 @@ def _header(where: str, content: bytes, _: int) -> Header:
             f"{where}: version {shown(told.get('version'))}, this version reads {VERSION}"
         )
     known = {"format", "version", *Header.__dataclass_fields__}
-    _check_keys(told, known, {"object_frame", "gives", "classes"}, where)
+    check_keys(told, known, {"object_frame", "gives", "classes"}, where)
     frame, gives, classes = told["object_frame"], told["gives"], told["classes"]
     if frame not in ("shapenet", "nocs"):
         raise DataError(f"{where}: object_frame is {shown(frame)}, expected shapenet or nocs")
@@ -234,51 +200,67 @@ def _header(where: str, content: bytes, _: int) -> Header:
 def _take(
     value: Any,
     where: str,
-    place: _Place,
+    place: Place,
     header: Header,
     images: dict[str, _Rows],
     seen: dict[str, str],
     counts: Counter[str],
 ) -> None:
     """Take in a line; :class:`DataError` that begins with ``where``."""
-    told = _table(value, where)
-    _check_keys(told, _LINE, {"image"}, where)
-    try:
-        texts = {
-            name: checked_text(name, told[name])
-            for name in ("sample", "category", "image")
-            if name in told
-        }
-    except ContractError as error:
-        raise DataError(f"{where}: {error}") from None
-    category = texts.get("category")
-    if category is not None and category not in header.classes:
-        raise DataError(f"{where}: category {shown(category)} is none of the header's classes")
-    box = None
-    if told.get("box") is not None:
-        box = _numbers(told["box"], (4,), f"{where}: box")
-        if not (np.abs(box) <= LARGEST_PIXEL).all():
-            raise DataError(f"{where}: box is {shown(told['box'])}, expected y1, x1, y2, x2")
-    reason, hypotheses = told.get("failure"), told.get("hypotheses")
-    _check_answer(reason, hypotheses, where)
-    rows = images[texts["image"]]
-    sample = texts.get("sample")
+    told = table(value, where)
+    check_keys(told, _LINE, {"image"}, where)
+    texts = _texts(told, ("sample", "image"), where)
+    rows, sample = images[texts["image"]], texts.get("sample")
     if sample is not None:
         if sample in seen:
             raise DataError(f"{where}: sample {sample} is in {seen[sample]} already; keep one")
         seen[sample] = where
-    elif len(hypotheses or ()) > 1:
-        raise DataError(f"{where}: names no sample; such a line has one hypothesis")
-    elif len(rows.class_ids) >= MOST_IN_IMAGE:
-        raise DataError(f"{where}: image {texts['image']} has more than {MOST_IN_IMAGE} detections")
     if len(seen) not in (0, counts["lines"] + 1):
         raise DataError(f"{where}: some lines name a sample and others do not; name all or none")
     counts["lines"] += 1
-    counts["hypotheses"] += len(hypotheses or ())
+    others = told.get("detections", [])
+    if not isinstance(others, list) or (others and sample is None):
+        raise DataError(
+            f"{where}: detections is {shown(others)}, expected a list of those beside a sample"
+        )
+    _take_answer(told, sample, where, place, header, rows)
+    for number, other in enumerate(others):
+        what = f"{where}, detection {number + 1}"
+        check_keys(table(other, what), _DETECTION, {"category"}, what)
+        _take_answer(other, "", what, place._replace(detection=number), header, rows)
+    if rows.detected > MOST_IN_IMAGE:
+        raise DataError(f"{where}: image {texts['image']} has more than {MOST_IN_IMAGE} detections")
+    counts["hypotheses"] += len(told.get("hypotheses") or ()) + len(others)
     if max(counts["hypotheses"], counts["lines"]) > MOST_HYPOTHESES:
         raise DataError(
             f"{where}: more than {MOST_HYPOTHESES} hypotheses; split the file by images"
         )
+
+
+def _take_answer(
+    told: Mapping[str, Any],
+    sample: str | None,
+    where: str,
+    place: Place,
+    header: Header,
+    rows: _Rows,
+) -> None:
+    """Take in the answer about a sample; ``sample`` is None, or empty of a detection beside one,
+    for one that names none."""
+    category = _texts(told, ("category",), where).get("category")
+    if category is not None and category not in header.classes:
+        raise DataError(f"{where}: category {shown(category)} is none of the header's classes")
+    box = None
+    if told.get("box") is not None:
+        box = numbers(told["box"], (4,), f"{where}: box")
+        if not (np.abs(box) <= LARGEST_PIXEL).all():
+            raise DataError(f"{where}: box is {shown(told['box'])}, expected y1, x1, y2, x2")
+    reason, hypotheses = told.get("failure"), told.get("hypotheses")
+    _check_answer(reason, hypotheses, where)
+    if not sample:
+        rows.detected += 1
+        if len(hypotheses or ()) > 1:
+            raise DataError(f"{where}: names no sample; such a line has one hypothesis")
     for rank, each in enumerate(hypotheses or [None]):
         rows.class_ids.append(0 if category is None else header.classes.index(category) + 1)
         rows.boxes.append(box)
@@ -292,6 +274,13 @@ def _take(
             rows.scores[-1] = _score(told, header, where)
         shaped = each is not None and "shape" in header.gives
         rows.places.append(place._replace(hypothesis=rank) if shaped else None)
+
+
+def _texts(told: Mapping[str, Any], names: Sequence[str], where: str) -> dict[str, str]:
+    try:
+        return {name: checked_text(name, told[name]) for name in names if name in told}
+    except ContractError as error:
+        raise DataError(f"{where}: {error}") from None
 
 
 def _check_answer(reason: Any, hypotheses: Any, where: str) -> None:
@@ -312,102 +301,33 @@ def _take_hypothesis(rows: _Rows, value: Any, where: str, header: Header) -> Non
     that is not finite is a failed one, as in other forms."""
     pose, extents, score = np.zeros((4, 4)), np.full(3, np.nan), math.nan
     if value is not None:
-        told = _table(value, where)
-        _check_keys(told, _HYPOTHESIS, {"rotation", "translation"}, where)
-        has = {"extents", "score"} & told.keys() | ({"shape"} if told.keys() & _SHAPES else set())
+        told = table(value, where)
+        check_keys(told, _HYPOTHESIS, {"rotation", "translation"}, where)
+        has = {"extents", "score"} & told.keys() | ({"shape"} if told.keys() & SHAPES else set())
         if has != header.gives:
             raise DataError(
                 f"{where}: it has {', '.join(sorted(has)) or 'a pose alone'}, but the header's"
                 f" gives is {sorted(header.gives)}"
             )
-        pose[:3, :3] = _numbers(told["rotation"], (3, 3), f"{where}: rotation")
-        pose[:3, 3] = _numbers(told["translation"], (3,), f"{where}: translation")
+        pose[:3, :3] = numbers(told["rotation"], (3, 3), f"{where}: rotation")
+        pose[:3, 3] = numbers(told["translation"], (3,), f"{where}: translation")
         pose[3, 3] = 1
         if "extents" in has:
-            extents = _numbers(told["extents"], (3,), f"{where}: extents")
-        if "score" in has:
+            extents = numbers(told["extents"], (3,), f"{where}: extents")
+        if "score" in has and told["score"] is not None:
             score = _score(told, header, where)
         if "shape" in has:
-            _shape(told, where)
+            shape_of(told, where)
     rows.poses.append(pose)
     rows.extents.append(extents)
     rows.scores.append(score)
 
 
 def _score(told: Mapping[str, Any], header: Header, where: str) -> float:
-    score = float(_numbers([told["score"]], (1,), f"{where}: score")[0])
+    score = float(numbers([told["score"]], (1,), f"{where}: score")[0])
     if not math.isfinite(score) or "score" not in header.gives:
         raise DataError(
             f"{where}: score is {score}, expected a finite number, and none unless the header's"
             " gives has it"
         )
     return score
-
-
-def _shape(told: Mapping[str, Any], where: str) -> Mesh | Array:
-    """The shape of a hypothesis; :class:`DataError` for what is none."""
-    if told.keys() >= _SHAPES:
-        raise DataError(f"{where}: it has points and a mesh; give one of them")
-    try:
-        if "points" in told:
-            points = frozen_array(_array(told["points"], f"{where}: points"), (None, 3), "points")
-            if not len(points):
-                raise DataError("points: there are none")
-            return points
-        mesh = _table(told["mesh"], f"{where}: mesh")
-        _check_keys(mesh, {"vertices", "triangles"}, {"vertices", "triangles"}, f"{where}: mesh")
-        return Mesh(
-            _array(mesh["vertices"], f"{where}: vertices"),
-            _array(mesh["triangles"], f"{where}: triangles"),
-        )
-    except ContractError as error:
-        message = str(error)
-        raise DataError(message if message.startswith(where) else f"{where}: {message}") from None
-
-
-def _array(value: Any, where: str) -> NDArray[Any]:
-    """Rows of three numbers, as lists or in base64."""
-    if isinstance(value, list):
-        whole = all(isinstance(row, list) and all(type(n) is int for n in row) for row in value)
-        array = _numbers(value, (len(value), 3), where)
-        return array.astype(np.int64) if whole and (np.abs(array) < 2**53).all() else array
-    if isinstance(value, dict) and len(value) == 1:
-        [(kind, text)] = value.items()
-        if kind in KINDS and isinstance(text, str):
-            try:
-                content = base64.b64decode(text, validate=True)
-                return np.frombuffer(content, KINDS[kind]).reshape(-1, 3)
-            except (binascii.Error, ValueError) as error:
-                raise DataError(f"{where}: no rows of three {kind} in base64 ({error})") from None
-    raise DataError(
-        f"{where}: {shown(value)}, expected rows of three numbers, or their base64 such as"
-        f' {{"float32": "..."}}; kinds are {", ".join(KINDS)}'
-    )
-
-
-def _numbers(value: Any, shape: tuple[int, ...], where: str) -> Array:
-    """Numbers of JSON in this shape, or a flat list of them; they may be NaN."""
-    flat = value if isinstance(value, list) else [None]
-    if len(flat) == shape[0] and len(shape) > 1:
-        flat = [n for row in flat for n in (row if isinstance(row, list) else [None])]
-        fits = all(isinstance(row, list) and len(row) == shape[1] for row in value)
-    else:
-        fits = len(flat) == math.prod(shape)
-    if not fits or not all(type(n) is float or (type(n) is int and abs(n) < 2**62) for n in flat):
-        raise DataError(f"{where}: {shown(value)}, expected {' x '.join(map(str, shape))} numbers")
-    return np.array(flat, dtype=np.float64).reshape(shape)
-
-
-def _table(value: Any, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise DataError(f"{where}: {shown(value)}, expected an object of JSON")
-    return value
-
-
-def _check_keys(told: Mapping[str, Any], known: set[str], needed: set[str], where: str) -> None:
-    if lacks := sorted(needed - told.keys()):
-        raise DataError(f"{where}: lacks {', '.join(lacks)}")
-    if strange := sorted(told.keys() - known):
-        raise DataError(
-            f"{where}: {shown(strange[0])} is not known; expected {', '.join(sorted(known))}"
-        )

@@ -231,7 +231,7 @@ def _strangers(submission: Submission, dataset: Dataset) -> Sequence[str]:
         sample
         for image in submission.images
         for sample in dict.fromkeys(image.answers.samples or ())
-        if images.get(sample) != image.name
+        if sample and images.get(sample) != image.name
     ]
     if not strangers:
         return []

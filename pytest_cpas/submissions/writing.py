@@ -21,8 +21,8 @@ from pytest_cpas._files import replaced, write_file, write_through
 from pytest_cpas.datasets.bop import object_number
 from pytest_cpas.submissions import bop_csv, nocs
 from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
-from pytest_cpas.submissions.frames import Answers, Submission
-from pytest_cpas.submissions.jsonl import Header, answer_line
+from pytest_cpas.submissions.frames import Answers, Image, Submission
+from pytest_cpas.submissions.jsonl import Given, Header, answer_line
 from pytest_cpas.types import (
     CATEGORIES,
     AnswerError,
@@ -91,43 +91,55 @@ def _json_lines(submission: Submission, lost: Counter[str]) -> Iterator[str]:
             )
         if answers.scores is not None and "score" not in submission.gives:
             lost["the scores of {} answers, which others do not have"] += len(answers)
-        reasons = failures(answers)
-        for rows in _lines_of(answers):
-            best = rows[0]
-            about = {"image": image.name}
-            if class_id := int(answers.class_ids[best]):
-                about["category"] = submission.category(class_id)
-            if answers.samples is not None:
-                about = {"sample": answers.samples[best], **about}
-            given, reason = [], None
-            for row in rows:
-                reason = reason or reasons[row]
-                if reasons[row] is None:
-                    where = f"prediction {row} of {image.name}"
-                    try:
-                        made = hypothesis(answers, row, where, half=half)
-                    except AnswerError as error:
-                        reason = str(error)
-                        lost["{} answers that are no pose; they are written as failures"] += 1
-                    else:
-                        given.append(_declared(made, submission))
-            if given and len(given) < len(rows):
-                lost["{} hypotheses that are none, beside others"] += len(rows) - len(given)
-            prediction = Prediction(tuple(given), reason=reason)
-            boxes = answers.boxes
-            box = None if boxes is None or np.isnan(boxes[best]).any() else boxes[best]
-            yield answer_line(about, prediction, box, _score(answers, best, submission))
+        for rows, beside in _lines_of(answers):
+            sample = None if answers.samples is None else answers.samples[rows[0]]
+            answer = _given(submission, image, rows, half, lost)
+            others = [_given(submission, image, [row], half, lost) for row in beside]
+            yield answer_line(image.name, sample, answer, submission.gives, others)
 
 
-def _lines_of(answers: Answers) -> Iterator[Sequence[int]]:
-    """The rows of each line: those about a sample, the best first, or else one."""
+def _given(
+    submission: Submission, image: Image, rows: Sequence[int], half: bool, lost: Counter[str]
+) -> Given:
+    """What was answered about one object, the best first."""
+    answers, best = image.answers, rows[0]
+    reasons = failures(answers)
+    given, reason = [], None
+    for row in rows:
+        reason = reason or reasons[row]
+        if reasons[row] is None:
+            where = f"prediction {row} of {image.name}"
+            try:
+                made = hypothesis(answers, row, where, half=half)
+            except AnswerError as error:
+                reason = str(error)
+                lost["{} answers that are no pose; they are written as failures"] += 1
+            else:
+                given.append(_declared(made, submission))
+    if given and len(given) < len(rows):
+        lost["{} hypotheses that are none, beside others"] += len(rows) - len(given)
+    boxes = answers.boxes
+    return Given(
+        category=submission.category(int(answers.class_ids[best])),
+        prediction=Prediction(tuple(given), reason=reason),
+        box=None if boxes is None or np.isnan(boxes[best]).any() else boxes[best],
+        score=_score(answers, best, submission),
+    )
+
+
+def _lines_of(answers: Answers) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
+    """The rows of each line: those about a sample, the best first, or else one; and, with the first
+    sample, those that are about none."""
     if answers.samples is None:
-        yield from ([row] for row in range(len(answers)))
+        yield from (([row], ()) for row in range(len(answers)))
         return
     found: dict[str, list[int]] = defaultdict(list)
     for row in order(answers):
         found[answers.samples[row]].append(row)
-    yield from found.values()
+    beside = found.pop("", [])
+    for rows in found.values():
+        yield rows, beside
+        beside = []
 
 
 def _declared(made: Hypothesis, submission: Submission) -> Hypothesis:
@@ -154,14 +166,15 @@ def _kept(answers: Answers, lost: Counter[str], form: str) -> list[int]:
     rows = [row for row in range(len(answers)) if not declared[row]]
     if answers.samples is not None:
         lost["the names of {} samples: objects are found by class and place in their image"] += len(
-            {answers.samples[row] for row in rows}
+            {answers.samples[row] for row in rows} - {""}
         )
     if answers.ranks is not None and answers.samples is not None:
         bests = {answers.samples[r]: r for r in rows if answers.ranks[r] == 0}
         scores = answers.scores
 
         def is_clear(row: int) -> bool:
-            best = bests.get(answers.samples[row]) if answers.samples else None
+            sample = answers.samples[row] if answers.samples else ""
+            best = bests.get(sample) if sample else None
             return (
                 best is None or row == best or (scores is not None and scores[row] < scores[best])
             )

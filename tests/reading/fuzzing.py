@@ -402,7 +402,7 @@ def forms_without_truth(kind: str) -> list[bytes]:
 
 def json_lines() -> list[bytes]:
     """Our own form: with points, a mesh and a failure, and of detections."""
-    from pytest_cpas.submissions import Header, answer_line
+    from pytest_cpas.submissions import Given, Header, answer_line
     from pytest_cpas.types import Hypothesis, Mesh, Prediction
 
     whole = {
@@ -412,15 +412,16 @@ def json_lines() -> list[bytes]:
     shaped = [Hypothesis(**whole, points=np.eye(3) / 3), Hypothesis(**whole, mesh=mesh)]
     gives = frozenset({"extents", "score", "shape"})
     header = Header(object_frame="nocs", gives=gives, classes=["mug"], method="m", samples=2)
+    beside = Given("mug", Prediction(shaped[1:]), np.ones(4))
     lines = [
         header.line(),
-        answer_line({"sample": "1", "category": "mug", "image": "a"}, Prediction(shaped), None),
-        answer_line({"sample": "2", "image": "a"}, Prediction.failed("none"), np.ones(4)),
+        answer_line("a", "1", Given("mug", Prediction(shaped), None), gives, [beside] * 2),
+        answer_line("a", "2", Given("", Prediction.failed("none"), np.ones(4)), gives),
     ]
     bare = Header(object_frame="shapenet", gives=frozenset(), classes=["mug", "can"])
     found = Prediction([Hypothesis(rotation=np.eye(3), translation=np.ones(3))])
-    about = {"category": "can", "image": "b"}
-    detected = [bare.line(), *[answer_line(about, found, np.ones(4))] * 2]
+    line = answer_line("b", None, Given("can", found, np.ones(4)), bare.gives)
+    detected = [bare.line(), line, line]
     return ["\n".join(each).encode() for each in (lines, detected)]
 
 

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 import tiny
 
-from pytest_cpas.evaluation import DetectedRun, MethodRun, Row, result_lines
+from pytest_cpas.evaluation import (
+    DetectedRun,
+    MethodRun,
+    Row,
+    SavedAnswers,
+    StoredRun,
+    result_lines,
+)
 from pytest_cpas.golden import RunTable
 from pytest_cpas.protocols import shipped_protocol
 from pytest_cpas.reading.pickles import load_numpy_pickle
-from pytest_cpas.submissions import DetectedDataset
+from pytest_cpas.submissions import DetectedDataset, read_submission, write_submission
 from pytest_cpas.types import DataError, Hypothesis, MethodInfo, Prediction
 
 CLASSES = {"bowl": 2, "mug": 6}
@@ -162,6 +169,50 @@ def test_all_detections_are_ranked(tmp_path):
     _, other = precisions(wrote(tmp_path / "d", at1=detections("bowl", scores=(0.1,))))
     assert other["mug"] == pytest.approx(5 / 6)
     assert other["bowl"] == 1
+
+
+def cells(run, path=None):
+    """The facts and cells of a run whose answers are saved to ``path``."""
+    if path is not None:
+        answers = SavedAnswers(path, run)
+        answers.begin({})
+        run.take_answer = answers.add
+    rows = [run.judge(ref) for ref in run.samples]
+    if path is not None:
+        answers.finish([row.sample for row in rows])
+    table = RunTable.of(run, rows)
+    values = {key: cell and cell.value for of in table.scores.values() for key, cell in of.items()}
+    return [row.facts for row in rows], values
+
+
+@pytest.mark.parametrize(
+    "special",
+    [
+        None,
+        detections("mug", ()),
+        detections("mug", ((2, 3, 4, 6), (0, 0, 2, 2)), (0.9, 0.99)),
+        detections("mug", ((2, 3, 4, 6), (2, 3, 5, 6)), (0.3, 0.9)),
+        detections("bowl", scores=(0.99,)),
+        detections("mug", ((2, 3, 4, 6), (2, 3, 3, 6)), (0.9, 0.99)),  # the second has no pixel
+    ],
+)
+@pytest.mark.parametrize("several", [False, True])
+def test_a_saved_run_is_ranked_alike(tmp_path, monkeypatch, special, several):
+    if several:  # of which one is ranked
+        alone = Seeing.predict
+        monkeypatch.setattr(
+            Seeing,
+            "predict",
+            lambda *args: [Prediction(answer.hypotheses * 2) for answer in alone(*args)],
+        )
+    folder, data = wrote(tmp_path / "d", at1=special), tiny.Tiny(None)
+    first = DetectedRun(Seeing(), DetectedDataset(data, folder), protocols=NOCS)
+    expected = cells(first, tmp_path / "one.jsonl")
+    assert expected[1]["nocs.ap_oriented_iou_50"] is not None
+    again = StoredRun(tmp_path / "one.jsonl", dataset=data, protocols=NOCS)
+    assert cells(again, tmp_path / "two.jsonl") == expected
+    write_submission(read_submission(tmp_path / "two.jsonl"), tmp_path / "three.jsonl")
+    assert cells(StoredRun(tmp_path / "three.jsonl", dataset=data, protocols=NOCS)) == expected
 
 
 def test_a_part_is_not_ranked(tmp_path):
