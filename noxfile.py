@@ -165,11 +165,14 @@ def peers(session: nox.Session) -> None:
 @nox.session
 def stress(session: nox.Session) -> None:
     """Kill runs and writers at 200 random moments, and golden updates at every step: the old table
-    or the new one is there, and each run is resumed and ends with the same table."""
-    install(session, "-e", ".[xdist]", "--group", "test")
+    or the new one is there, and each run is resumed and ends with the same table. Then the tests
+    of whole runs that ``tests`` leaves out."""
+    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
     session.run("python", "tests/session/stress_kills.py", *session.posargs, env=ENV)
     enumerated = ("tests/golden/test_golden_kills.py", "tests/evaluation/test_results_file.py")
-    session.run("pytest", *enumerated, "tests/evaluation/test_results.py", env=ENV)
+    session.run("pytest", *enumerated, env=ENV)
+    long = ("-m", "minutes", "--ignore=tests/ports", "--numprocesses=2")
+    session.run("pytest", *long, "tests", env=ENV)
 
 
 @nox.session

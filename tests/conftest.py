@@ -1,6 +1,7 @@
 import os
 import shutil
 import sys
+from collections import Counter
 from pathlib import Path
 
 import hypothesis  # noqa: F401 - else every run of pytest in this process imports it anew
@@ -10,6 +11,17 @@ from harness import RUN
 import pytest_cpas.session.method_session  # noqa: F401 - runs in this process must share our modules
 
 pytest_plugins = ["pytester"]
+
+
+@pytest.hookimpl(tryfirst=True)  # before marks select
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    cases: Counter[str] = Counter()
+    for item in items:
+        if (mark := item.get_closest_marker("thinned")) is not None:
+            name = item.nodeid.partition("[")[0]
+            if cases[name] % mark.args[0]:
+                item.add_marker("minutes")
+            cases[name] += 1
 
 
 @pytest.fixture(scope="session")

@@ -252,6 +252,7 @@ def test_method_is_loaded_once_for_all_points(cpas):
     result.stdout.no_fnmatch_line("*(try 2)*")
 
 
+@pytest.mark.minutes
 def test_shards_of_a_profile_are_merged_and_recorded(cpas, pytester):
     for shard in ("1/2", "2/2"):
         cpas("Perfect", *PROFILE, f"--cpas-shard={shard}", "--cpas-results=out")

@@ -42,6 +42,7 @@ def test_bad_shards(text):
         Shard.parse(text)
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("count", [1, 3, 5])
 @pytest.mark.parametrize("method", ["Perfect", "Biased", "Refuses"])
 def test_merged_shards_are_judged_like_the_whole(recorded, pytester, shards, method, count):

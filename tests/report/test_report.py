@@ -187,6 +187,7 @@ def strip(content: dict) -> dict:
     return content
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("method", ["Perfect", "Biased", "Refuses", "Raises"])
 def test_stored_results_give_the_report_of_the_run(report, recorded, pytester, monkeypatch, method):
     whole, _, result = report(method)
@@ -202,6 +203,7 @@ def test_stored_results_give_the_report_of_the_run(report, recorded, pytester, m
     assert {key: new[key] for key in new if new[key] != old[key]} == {}
 
 
+@pytest.mark.minutes
 def test_pictures_of_stored_results_with_their_data(report, recorded, pytester, monkeypatch):
     """The page of merged shards is that of the run, up to the contract, if the data is there."""
     whole, *_ = report("Biased")

@@ -204,6 +204,7 @@ def stored(recorded, pytester, monkeypatch):
     return pytester.path
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("new", ["Biased/report.json", "Biased/rows/perfect-tiny.jsonl"])
 @pytest.mark.parametrize("old", ["Perfect/report.json", "Perfect/rows/perfect-tiny.jsonl"])
 def test_reports_and_results_files_give_the_same_comparison(stored, new, old, capsys):

@@ -40,6 +40,7 @@ def damaged(cpas, pytester):
     return lambda *args: cpas("Perfect", *args, dataset="Damaged")
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=["alone", "-n2"])
 @pytest.mark.parametrize("selection", SELECTIONS)
 def test_damaged_listing_is_told(damaged, selection, how):
@@ -76,6 +77,7 @@ def pytest_collection_modifyitems(items):
 """
 
 
+@pytest.mark.thinned(2)
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=["alone", "-n2"])
 def test_a_category_that_a_plugin_leaves_out_is_asked_for(cpas, pytester, how):
     """Nobody named it: it is not checked, and not "not asked for"."""

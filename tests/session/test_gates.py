@@ -6,6 +6,7 @@ from harness import RUN, unfolded
 GATE = ("--cpas-require-golden",)
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
 @pytest.mark.parametrize(
     "asked", [("--cpas-category=mug",), ("-k", "mug"), ("-k", "test_sample and mug")], ids=" ".join
@@ -24,6 +25,7 @@ def test_one_category_is_gated_alone(recorded, asked, how):
     assert recorded("Biased", *GATE, *other, *how).ret == 0
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
 @pytest.mark.parametrize(
     "asked",
@@ -132,6 +134,7 @@ def test_images_that_a_method_writes_into_are_its_own(cpas, pytester):
     assert "12 of 12 samples judged" in output
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
 @pytest.mark.parametrize("name", ["Gefäß", "tasse ☕", "a\\b", "a[b]", "a::b", "mug-can", "é é"])
 def test_category_of_any_name_is_asked_for(cpas, pytester, name, how):

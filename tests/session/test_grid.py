@@ -86,6 +86,7 @@ def _summary(result: pytest.RunResult) -> list[str]:
     return [line for line in lines[start:] if line and not any(text in line for text in unlike)]
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("how", ["-n2", "worksteal", "shards", "ssh"])
 def test_spread_out_like_in_one_process(run, cpas, how, case):

@@ -64,6 +64,7 @@ EXITS = {
 }
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("where", ["load", "predict"])
 @pytest.mark.parametrize("how", EXITS)
 def test_method_that_ends_the_process(ends, how, where):
@@ -323,6 +324,7 @@ XDIST = {
 }
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("what", XDIST)
 def test_workers_and_their_controller(ends, what):
     result = ends("-n2", **XDIST[what])

@@ -125,6 +125,7 @@ def lab(recorded, pytester):
     return run
 
 
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("how", HOW)
 @pytest.mark.parametrize("what", ASKED)
 def test_failure_that_a_plugin_hides_is_red(lab, what, how):
@@ -157,6 +158,7 @@ def test_nobody_else_skips_an_item(lab, what):
     result.stdout.fnmatch_lines(["*was skipped, but not by pytest-cpas: slow"])
 
 
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
 @pytest.mark.parametrize("method", ["Skips", "SkipsLoading", "Fails"])
 @pytest.mark.parametrize("only", ["test_sample", "test_contract", "test_speed"])

@@ -146,6 +146,7 @@ def test_between_the_limits_is_undecided(clocked):
     assert clocked.speed["verdict"]["outcome"] == "failed"
 
 
+@pytest.mark.minutes
 def test_a_ratio_of_another_machine_is_not_compared(clocked, pytester, monkeypatch):
     clocked("Clocked", "--snapshot-update")
     monkeypatch.setattr(machine, "_cpu", lambda: "Other CPU")
@@ -164,6 +165,7 @@ def test_a_ratio_of_another_machine_is_not_compared(clocked, pytester, monkeypat
     )
 
 
+@pytest.mark.minutes
 def test_a_part_of_the_recorded_samples_will_do_and_others_will_not(clocked):
     clocked("Clocked", "--snapshot-update", "--cpas-category=mug")
     assert clocked("Slow", "--cpas-benchmark-fail=20%", "--cpas-category=mug").ret == 1
