@@ -271,7 +271,8 @@ def _convert(options: argparse.Namespace) -> int:
         submission = read_submission(options.source, dataset)
         lost = write_submission(submission, options.target, dataset=dataset, force=options.force)
     except (registry.RegistryError, ContractError, OSError) as error:
-        say(f"pytest-cpas convert: {error}", file=sys.stderr)
+        # pytest's options are called otherwise here
+        say(f"pytest-cpas convert: {error}".replace("--cpas-", "--"), file=sys.stderr)
         return 1
     count = sum(len(image.answers) for image in submission.images)
     say(

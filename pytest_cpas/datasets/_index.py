@@ -74,7 +74,7 @@ class Scan:
     def names(self, folder: str) -> set[str]:
         """What a folder holds; nothing if there is no such folder."""
         if folder not in self._names:
-            self._see(folder)
+            self.see(folder)
             self._names[folder] = names(self.root / folder)
         return self._names[folder]
 
@@ -85,7 +85,7 @@ class Scan:
 
     def read(self, path: str) -> bytes:
         """A file's bytes, which become part of the digest."""
-        self._see(path)
+        self.see(path)
         content = read_bytes(self.root / path, _LARGEST)
         self._digest.update(content)
         return content
@@ -102,7 +102,7 @@ class Scan:
 
     def weigh(self, path: str) -> None:
         """Add a file's path and size, which are had without reading it, to the digest."""
-        stamp = self._see(path)
+        stamp = self.see(path)
         self.note(f"{path} {stamp and stamp[-1]}\n")
 
     def image_size(self, path: str) -> tuple[int, int]:
@@ -152,7 +152,8 @@ class Scan:
             self._digest.hexdigest(),
         )
 
-    def _see(self, path: str) -> list[int] | None:
+    def see(self, path: str) -> list[int] | None:
+        """Make a new index when this file or folder changes."""
         self.stamps[path] = _stamp(self.root, path)
         return self.stamps[path]
 

@@ -373,10 +373,14 @@ class Real275(NocsTree):
             return False
         if scan.has(f"{stem}_meta.txt"):
             return True
+        scan.see(truth)
         try:
-            return "gt_class_ids" in load_numpy_pickle(self.root / truth)
+            if "gt_class_ids" in load_numpy_pickle(self.root / truth):
+                return True
         except ContractError:
             return True  # which listing it will tell
+        scan.lacks("frames without meta.txt or gt_class_ids, which say what is there", frame)
+        return False
 
 
 def _truth_path(frame: str) -> str:

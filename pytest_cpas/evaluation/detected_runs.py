@@ -30,6 +30,11 @@ class DetectedRun(MethodRun):
         self._detected = dataset
 
     @property
+    def notes(self) -> Sequence[str]:
+        """What is noticed about the detections."""
+        return self._detected.notes
+
+    @property
     def answers_give(self) -> frozenset[Literal["extents", "shape", "score"]]:
         """What the method gives, and the score of the detector, which ranks."""
         return self._method.info.gives | {"score"}

@@ -30,6 +30,7 @@ from pytest_cpas.submissions import (
     names,
     read_submission,
     symmetry_in_view,
+    without_detections,
 )
 from pytest_cpas.types import (
     CATEGORIES,
@@ -166,12 +167,7 @@ class StoredRun(Run):
     @functools.cached_property
     def _notes(self) -> Sequence[str]:
         notes = [*self._submission.notes, *self._pairing.notes]
-        told, known = self._submission.provenance.get("data"), self._dataset.digest
-        if told is not None and told != known:
-            notes.append(
-                f"the answers are about other data of {self._submission.dataset}: {told}, judged by"
-                f" {known}"
-            )
+        notes += self._other_data()
         if self._half:
             notes.append(
                 "poses are stored in half precision: the nearest rotations are judged, and a"
@@ -182,6 +178,15 @@ class StoredRun(Run):
         except ContractError as error:
             notes.append(f"the file was not audited: {error}")
         return notes
+
+    def _other_data(self) -> Iterator[str]:
+        """Where the file says that its answers are about something else."""
+        name = without_detections(self._submission.dataset)
+        told, known = self._submission.provenance.get("data"), self._dataset.digest
+        if name and name != self._dataset.name:
+            yield f"the answers are about {name}, and are judged by {self._dataset.name}"
+        elif told is not None and told != known and name == self._submission.dataset:
+            yield f"the answers are about other data of {name}: {told}, judged by {known}"
 
     def _ranked(self, number: int, row: int) -> Hypothesis | None:
         """A detection in the standard frames; None where it is none."""
@@ -255,10 +260,12 @@ class StoredRun(Run):
             return -1, (), "whose image is not in the file"
         rows = self._pairing.found(number).answers[ref.id]
         if not rows:
-            return number, (), "not detected"
+            named = self._submission.images[number].answers.samples is not None
+            return number, (), "not in the file" if named else "not detected"
         reasons = self._failures(number)
-        answered = [row for row in rows if reasons[row] is None]
-        return number, answered, None if answered else reasons[rows[0]]
+        if reasons[rows[0]] is not None:
+            return number, (), reasons[rows[0]]
+        return number, [row for row in rows if reasons[row] is None], None
 
     def _prediction(self, ref: SampleRef) -> Prediction:
         number, rows, reason = self._answers(ref)

@@ -34,8 +34,9 @@ def lacking(table: RunTable) -> list[str]:
     if table.ranking is None and table.ranking_columns:
         keys = [column.key for column in table.ranking_columns]
         lines.append(
-            f"{_named(keys)} rank all detections of the images, which stored predictions"
-            " (--cpas-predictions) and a detector (--cpas-detections) have, of all samples"
+            f"{_named(keys)} rank all detections of the images by their scores, and need those of"
+            " all samples: from a file in which every answer has a score (--cpas-predictions), or"
+            " from a detector (--cpas-detections)"
         )
     return lines
 

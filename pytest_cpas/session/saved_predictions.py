@@ -11,6 +11,9 @@ __all__ = ["open_saved"]
 
 _OPTION = "--cpas-save-predictions"
 
+#: What files are called in forms that only ``pytest-cpas convert`` writes, or nothing does.
+_FILES = {".npz", ".csv", ".pkl", ".json", ".txt"}
+
 
 def open_saved(
     options: RunOptions, runs: Sequence[Run], files: Mapping[Run, ResultsFile], worker: str
@@ -34,13 +37,14 @@ def open_saved(
             f"{_OPTION} {path.name}: there are {len(runs)} runs, each with a file of its own; name"
             f" a folder: {_OPTION}={path.stem}"
         )
-    if not is_file and path.exists() and not path.is_dir():
+    if not is_file and (path.suffix in _FILES or path.exists()) and not path.is_dir():
         raise ValueError(f"{_OPTION} {path.name}: expected a .jsonl, or a folder")
     saved = {}
     for run in runs:
         target = path if is_file else path / f"{options.shard.stem_of(run)}.jsonl"
-        if any(target.resolve() == read.resolve() for read in options.predictions):
-            raise ValueError(f"{_OPTION}: {target} is what is judged; name another file")
+        judged = [read.resolve() for read in options.predictions]
+        if target.resolve() in judged or target.resolve().parent in judged:
+            raise ValueError(f"{_OPTION}: {target} is, or is in, what is judged; name another file")
         saved[run] = SavedAnswers(target, run, worker)
         run.take_answer = saved[run].add
         if not worker and run in files:

@@ -4,7 +4,7 @@ from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precis
 from pytest_cpas.submissions.audit import audit
 from pytest_cpas.submissions.bop_csv import HEADER as BOP_HEADER
 from pytest_cpas.submissions.bop_csv import line as bop_line
-from pytest_cpas.submissions.detections import DetectedDataset, Found
+from pytest_cpas.submissions.detections import DetectedDataset, Found, without_detections
 from pytest_cpas.submissions.frames import Answers, Image, Submission, Truths
 from pytest_cpas.submissions.jsonl import Given, Header, answer_line
 from pytest_cpas.submissions.pairing import Pairing
@@ -35,5 +35,6 @@ __all__ = [
     "read_submission",
     "symmetry_in_view",
     "truth_of",
+    "without_detections",
     "write_submission",
 ]

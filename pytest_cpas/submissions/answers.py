@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,15 @@ from pytest_cpas.submissions.frames import Answers, Image, Objects, Submission
 from pytest_cpas.types import AnswerError, Array, ContractError, DataError, Hypothesis, Mesh
 from pytest_cpas.types._arrays import frozen_array
 
-__all__ = ["failures", "hypothesis", "in_half_precision", "names", "order", "rigid"]
+__all__ = [
+    "counted_otherwise",
+    "failures",
+    "hypothesis",
+    "in_half_precision",
+    "names",
+    "order",
+    "rigid",
+]
 
 #: Largest entry of ``R @ R.T - I`` of a rotation whose entries were rounded to half precision: of
 #: relative errors of 2 ** -11 each, of the sums of three squares and of the scale.
@@ -66,6 +75,13 @@ def names(submission: Submission, image: str, answers: Answers) -> Iterator[tupl
             own += "/" + "_".join(f"{pixel:.0f}" for pixel in answers.boxes[row].tolist())
         called[own] += 1
         yield row, own if called[own] == 1 else f"{own}+{called[own]}"
+
+
+def counted_otherwise(step: int, classes: int, answers: Answers) -> Answers:
+    """Answers whose class ids are ``step`` more, where there is such a class."""
+    ids = answers.class_ids + step
+    fits = (ids >= 1) & (ids <= classes)
+    return replace(answers, class_ids=np.where(fits, ids, answers.class_ids))
 
 
 def failures(answers: Answers) -> list[str | None]:

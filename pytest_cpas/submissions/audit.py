@@ -6,8 +6,7 @@ then. Only what makes significantly more of them near is told: with the counts, 
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -16,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pytest_cpas.submissions.answers import counted_otherwise
 from pytest_cpas.submissions.frames import Answers, Submission
-from pytest_cpas.submissions.pairing import Pairing
+from pytest_cpas.submissions.oddities import oddities
+from pytest_cpas.submissions.pairing import NEAR, Pairing
 from pytest_cpas.submissions.truth import OwnTruth, truth_of
 from pytest_cpas.types import Array, Dataset, GroundTruth, Symmetry
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
@@ -39,11 +40,11 @@ _IMAGES = 200
 #: it, and none in all away from it.
 _LEAST, _DEVIATIONS, _FAR = 5, 4.0, 5.0
 
+#: What boxes are is not guessed if answers fit so many times more samples without them.
+_MUCH_MORE = 1.5
+
 #: The file's own truth is the data set's up to such differences: metres, degrees.
 _SAME_M, _SAME_DEG = 1e-4, 0.1
-
-#: An answer that so many samples share, and that is so large a part of them, is told.
-_REPEATED, _SHARE = 5, 0.1
 
 
 class _Truth(NamedTuple):
@@ -70,6 +71,14 @@ class _Mistake(NamedTuple):
     undone: Callable[[int], Answers | None]
 
 
+class _Found(NamedTuple):
+    """A mistake, how many samples are near the truth without it, and how many closer to it."""
+
+    mistake: _Mistake
+    near: int
+    closer: int
+
+
 def audit(submission: Submission, pairing: Pairing, dataset: Dataset) -> list[str]:
     """What is noticed about the answers of a file, a line each; nothing about a sound one.
 
@@ -79,36 +88,48 @@ def audit(submission: Submission, pairing: Pairing, dataset: Dataset) -> list[st
     truths = {number: _truth(pairing, dataset, number) for number in numbers}
 
     def errors(undone: Callable[[int], Answers | None]) -> _Errors:
-        found = [_errors(submission, pairing, n, undone(n), truths[n]) for n in numbers]
-        return _Errors(*map(np.concatenate, zip(*found, strict=True)))
+        of = [_errors(submission, pairing, n, undone(n), truths[n]) for n in numbers]
+        return _Errors(*map(np.concatenate, zip(*of, strict=True)))
 
     if not numbers:
         return []
+    lines = []
     given = errors(lambda number: submission.images[number].answers)
     where = "" if len(numbers) == len(pairing.images) else f" of {len(numbers)} images"
-    lines = []
-    best: tuple[int, int, _Mistake] | None = None
-    for mistake in _mistakes(submission, pairing):
-        found = errors(mistake.undone)
-        nearer = _tell(given.metres > found.metres, found.metres > given.metres, _FAR)
+    found = _best(given, ((m, errors(m.undone)) for m in _mistakes(submission, pairing)))
+    other = _boxes_of_nothing(submission)
+    # an object that was not detected may stand closer to something else
+    without = _best(given, [(other, errors(other.undone))], closer=False)
+    if without is not None and (found is None or without.near > _MUCH_MORE * found.near):
+        found = without
+    if found is not None:
+        lines.append(
+            f"audit: {found.mistake.told} would bring {found.near} instead of {given.near.sum()} of"
+            f" {len(given.near)} samples{where} near the truth ({_NEAR_M * 100:g} cm,"
+            f" {_NEAR_DEG:g} deg), and {found.closer} closer than they are; if that is it,"
+            f" {found.mistake.write}"
+        )
+    if not isinstance(dataset, OwnTruth):
+        lines += _differing(submission, pairing, dataset)
+    return [*lines, *oddities(submission, pairing, numbers, where)]
+
+
+def _best(
+    given: _Errors, undone: Iterable[tuple[_Mistake, _Errors]], *, closer: bool = True
+) -> _Found | None:
+    """What explains the most, if anything does: with how many samples are near the truth then, and
+    how many are closer to it, which explains something too if ``closer``."""
+    best: _Found | None = None
+    for mistake, found in undone:
+        nearer = closer and _tell(given.metres > found.metres, found.metres > given.metres, _FAR)
         if nearer and found.near.sum() >= given.near.sum():
             clear = True
         else:
             clear = _tell(found.near & ~given.near, given.near & ~found.near, _DEVIATIONS)
-        closer = int((given.metres > found.metres).sum())
-        if clear and (best is None or (int(found.near.sum()), closer) > best[:2]):
-            best = int(found.near.sum()), closer, mistake
-    if best is not None:
-        count, closer, mistake = best
-        lines.append(
-            f"audit: {mistake.told} would bring {count} instead of {given.near.sum()} of"
-            f" {len(given.near)} samples{where} near the truth ({_NEAR_M * 100:g} cm,"
-            f" {_NEAR_DEG:g} deg), and {closer} closer than they are; if that is it,"
-            f" {mistake.write}"
-        )
-    if not isinstance(dataset, OwnTruth):
-        lines += _differing(submission, pairing, dataset)
-    return [*lines, *_copied(submission, pairing), *_repeated(submission, pairing)]
+        new = _Found(mistake, int(found.near.sum()), int((given.metres > found.metres).sum()))
+        if clear and (best is None or new[1:] > best[1:]):
+            best = new
+    return best
 
 
 # -- what is near ---------------------------------------------------------------------------
@@ -187,9 +208,18 @@ def _mistakes(submission: Submission, pairing: Pairing) -> Iterator[_Mistake]:
         yield _Mistake(
             f"to read class ids as {'one more' if step > 0 else 'one less'}",
             f"number classes from 1: {', '.join(submission.classes)}",
-            within(partial(_counted_otherwise, step, len(submission.classes))),
+            within(partial(counted_otherwise, step, len(submission.classes))),
         )
     yield from _misplaced(submission, pairing)
+
+
+def _boxes_of_nothing(submission: Submission) -> _Mistake:
+    """What is left to say where boxes are none of the orders that are known."""
+    return _Mistake(
+        "to find answers by class and position, not by their 2-D boxes,",
+        "write 2-D boxes as y1, x1, y2, x2 in pixels of the image",
+        lambda number: replace(submission.images[number].answers, boxes=None),
+    )
 
 
 def _boxed(make: Callable[[Array], Array], answers: Answers) -> Answers | None:
@@ -200,12 +230,6 @@ def _rolled(step: int, parts: Sequence[str], answers: Answers) -> Answers | None
     values = {part: getattr(answers, part) for part in parts}
     moved = {k: np.roll(v, step, axis=0) for k, v in values.items() if v is not None}
     return replace(answers, **moved) if len(answers) > 1 else None
-
-
-def _counted_otherwise(step: int, classes: int, answers: Answers) -> Answers:
-    ids = answers.class_ids + step
-    fits = (ids >= 1) & (ids <= classes)
-    return replace(answers, class_ids=np.where(fits, ids, answers.class_ids))
 
 
 #: How boxes are meant that are no y1, x1, y2, x2; how to write them so; and what they become.
@@ -284,8 +308,8 @@ def _listed(name: str) -> tuple[str, str]:
 
 def _differing(submission: Submission, pairing: Pairing, dataset: Dataset) -> Iterator[str]:
     """Where the file's own truth is not the data set's."""
-    strange = total = 0
-    apart: list[tuple[float, float]] = []
+    strange = total = lacking = 0
+    apart: list[tuple[float, float, float]] = []
     for number in pairing.images:
         truths = submission.images[number].truths
         if truths is None:
@@ -293,6 +317,7 @@ def _differing(submission: Submission, pairing: Pairing, dataset: Dataset) -> It
         own = pairing.found(number).own
         total += len(truths)
         strange += len(truths) - len(own)
+        lacking += len(pairing.refs(number)) - len(own)
         apart += [
             _apart(dataset.truth(ref), truth_of(submission, truths, own[ref.id]))
             for ref in pairing.refs(number)
@@ -300,61 +325,29 @@ def _differing(submission: Submission, pairing: Pairing, dataset: Dataset) -> It
         ]
     if strange:
         yield (
-            f"{strange} of {total} objects of the file's own ground truth are none of"
-            f" {dataset.name}'s, and do not count"
+            f"{strange} of {total} objects of the file's own ground truth are not within"
+            f" {NEAR * 100:g} cm of one of {dataset.name}'s of their class and image, and do not"
+            " count"
         )
-    differing = [each for each in apart if each[0] > _SAME_M or each[1] > _SAME_DEG]
-    if differing:
-        metres, degrees = np.max(differing, axis=0)
+    if lacking:
+        yield f"{lacking} objects of {dataset.name} are not in the file's own ground truth"
+    parts = np.array(apart).reshape(-1, 3)
+    differing = parts[(parts > (_SAME_M, _SAME_M, _SAME_DEG)).any(axis=1)]
+    if len(differing):
+        centres, sides, degrees = differing.max(axis=0)
         yield (
             f"the file's own ground truth differs from {dataset.name}'s for {len(differing)} of"
-            f" {len(apart)} objects, by up to {metres * 1000:.1f} mm and {degrees:.1f} deg; that of"
-            f" {dataset.name} counts"
+            f" {len(apart)} objects that are in both, by up to {centres * 1000:.1f} mm (centres),"
+            f" {sides * 1000:.1f} mm (sides) and {degrees:.1f} deg; that of {dataset.name} counts"
         )
 
 
-def _apart(one: GroundTruth, other: GroundTruth) -> tuple[float, float]:
-    """How far two truths about an object are apart, metres (of centres or sides) and degrees."""
-    metres = max(
-        float(np.linalg.norm(one.pose.translation - other.pose.translation)),
-        float(np.abs(one.extents - other.extents).max()),
-    )
+def _apart(one: GroundTruth, other: GroundTruth) -> tuple[float, float, float]:
+    """How far two truths about an object are apart: centres and sides, metres, and degrees."""
+    centres = float(np.linalg.norm(one.pose.translation - other.pose.translation))
+    sides = float(np.abs(one.extents - other.extents).max())
     turn = one.pose.rotation.T @ other.pose.rotation
     if _is_symmetric(one.symmetry):  # the up axis alone says something of all of those
-        return metres, float(np.degrees(np.arctan2(np.hypot(turn[0, 1], turn[2, 1]), turn[1, 1])))
-    return metres, float(np.degrees(Rotation.from_matrix(turn).magnitude()))
-
-
-# -- answers that are none of their own -----------------------------------------------------
-
-
-def _copied(submission: Submission, pairing: Pairing) -> Iterator[str]:
-    """Answers that are the file's own truth, bit for bit."""
-    equal = total = 0
-    for number in pairing.images:
-        image = submission.images[number]
-        if image.truths is None:
-            continue
-        true = {pose.tobytes() for pose in image.truths.poses}
-        equal += sum(pose.tobytes() in true for pose in image.answers.poses)
-        total += len(image.answers)
-    if equal >= _REPEATED:
-        yield (
-            f"audit: {equal} of {total} answers are the file's own ground truth to the last bit;"
-            " was one stored in the place of the other?"
-        )
-
-
-def _repeated(submission: Submission, pairing: Pairing) -> Iterator[str]:
-    """One pose that many answers have."""
-    counts = Counter(
-        pose.tobytes()
-        for number in pairing.images
-        for pose in submission.images[number].answers.poses
-        if np.isfinite(pose).all() and pose[:3, :3].any()
-    )
-    if not counts:
-        return
-    [(_, most)] = counts.most_common(1)
-    if most >= max(_REPEATED, _SHARE * counts.total()):
-        yield f"audit: {most} of {counts.total()} answers have one and the same pose"
+        degrees = np.degrees(np.arctan2(np.hypot(turn[0, 1], turn[2, 1]), turn[1, 1]))
+        return centres, sides, float(degrees)
+    return centres, sides, float(np.degrees(Rotation.from_matrix(turn).magnitude()))

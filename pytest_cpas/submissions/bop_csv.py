@@ -39,13 +39,18 @@ HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 #: own truth goes up to 4e-4.
 _EXACT, _NEARLY = 1e-4, 4e-3
 
+#: Objects that a camera sees are further from it, metres.
+_NEAREST = 0.02
+
 
 class _Estimate(NamedTuple):
-    """``class_id`` counts the data set's classes from 1; ``pose`` (16,) is in metres."""
+    """``class_id`` counts the data set's classes from 1; ``pose`` (16,) is in metres; ``distance``:
+    of the model's origin from the camera, metres."""
 
     class_id: int
     score: float
     pose: list[float]
+    distance: float
 
 
 def read(path: Path, dataset: Dataset | None) -> Submission:
@@ -72,13 +77,24 @@ def read(path: Path, dataset: Dataset | None) -> Submission:
         found[image].append(estimate)
     if not found:
         raise DataError(f"{path}: no estimates, expected a line with {HEADER} for each")
-    images, far = [], 0
+    images, far, distances = [], 0, []
     for name, estimates in found.items():
-        class_ids, scores, poses = (np.array(values) for values in zip(*estimates, strict=True))
+        class_ids, scores, poses, far_off = (
+            np.array(values) for values in zip(*estimates, strict=True)
+        )
         poses = poses.reshape(-1, 4, 4)
         far += _take_nearest_rotations(poses)
+        distances += far_off.tolist()
         answers = Answers(class_ids=class_ids.astype(np.int64), scores=scores, poses=poses)
         images.append(Image(name=name, answers=answers))
+    notes = []
+    if far:
+        notes.append(f"{far} rotations are none, by little: the nearest ones are judged")
+    if np.median(distances) < _NEAREST:
+        notes.append(
+            f"half of the objects are nearer to the camera than {1000 * _NEAREST:g} mm: are the"
+            " translations in metres? In this form they are in millimetres"
+        )
     return Submission(
         path=path,
         form="BOP",
@@ -86,7 +102,7 @@ def read(path: Path, dataset: Dataset | None) -> Submission:
         classes=dataset.class_names,
         object_frame="shapenet",
         gives=frozenset({"score"}),
-        notes=[f"{far} rotations are none, by little: the nearest ones are judged"] if far else [],
+        notes=notes,
     )
 
 
@@ -137,8 +153,9 @@ def _estimate(
     pose = np.eye(4)
     pose[:3, :3] = rotation
     pose[:3, 3] = np.array(_numbers(fields[5], 3, f"{where}: t")) / 1000
+    distance = float(np.linalg.norm(pose[:3, 3]))
     pose[:3, 3] += rotation @ centres[name]
-    estimate = _Estimate(classes.index(name) + 1, score, pose.ravel().tolist())
+    estimate = _Estimate(classes.index(name) + 1, score, pose.ravel().tolist(), distance)
     return f"{scene:06d}/{image:06d}", estimate
 
 

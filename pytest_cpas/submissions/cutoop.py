@@ -96,7 +96,7 @@ def read(path: Path, value: Mapping[str, Any], dataset: Dataset | None) -> Submi
         classes=classes,
         object_frame="shapenet" if dataset is None else "nocs",
         gives=frozenset({"extents"} if scores is None else {"extents", "score"}),
-        notes=_undetected(value.get("gt_n_objects"), count),
+        notes=_undetected(value.get("gt_n_objects"), count) if dataset is None else (),
     )
 
 
@@ -107,8 +107,8 @@ def _undetected(annotated: Any, count: int) -> Sequence[str]:
     if objects <= count:
         return ()
     return [
-        f"{objects} objects were annotated, and the file has {count}: those that were not detected"
-        " are not judged without a data set"
+        f"{objects} objects were annotated, and the file has {count}: the others are not judged"
+        " without a data set, and classes are called class_K by their labels"
     ]
 
 

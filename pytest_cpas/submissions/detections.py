@@ -20,21 +20,34 @@ from numpy.typing import NDArray
 
 from pytest_cpas.reading.files import regular
 from pytest_cpas.reading.pickles import load_numpy_pickle
-from pytest_cpas.submissions.answers import names
+from pytest_cpas.submissions.answers import counted_otherwise, names
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.nocs import check_boxes, check_class_ids
-from pytest_cpas.submissions.pairing import Pairing
+from pytest_cpas.submissions.pairing import DETECTION_IOU, Pairing, box_ious
 from pytest_cpas.types import Array, DataError, Dataset, Observation, Sample, SampleRef
-from pytest_cpas.types.datasets import WrappedDataset
+from pytest_cpas.types.datasets import WrappedDataset, mask_box
 from pytest_cpas.types.names import checked_name
+from pytest_cpas.types.samples import evenly
 
-__all__ = ["DetectedDataset", "Found"]
+__all__ = ["DetectedDataset", "Found", "without_detections"]
 
 #: The arrays of an image, and their dimensions.
 _ARRAYS = {"rois": 2, "class_ids": 1, "scores": 1, "masks": 3}
 
+#: Images whose classes are looked at, evenly spaced; and what is told: so many detections or
+#: objects, or such a share of the boxes.
+_IMAGES, _LEAST, _SHARE = 200, 5, 0.1
+
 #: Images of a folder, and detections in one.
 _MOST_IMAGES, _MOST_IN_IMAGE = 100_000, 300
+
+#: What a data set is called that is seen through a detector, beyond its name.
+_SEEN = "+detections"
+
+
+def without_detections(name: str) -> str:
+    """What a data set is called when it is not seen through a detector."""
+    return name.removesuffix(_SEEN)
 
 
 class Found(NamedTuple):
@@ -57,16 +70,46 @@ class DetectedDataset(WrappedDataset):
         """Read the boxes of all images; :class:`DataError` naming the file that is damaged."""
         super().__init__(dataset)
         self._files = _files(folder)
-        self._detections = _submission(folder, self._files, dataset.class_names)
+        self._detections, masks, self._contradictions = _submission(
+            folder, self._files, dataset.class_names
+        )
         self._pairing = Pairing(self._detections, dataset)
         self._read = functools.lru_cache(maxsize=2)(_read)
-        digest = hashlib.sha256(dataset.digest.encode())
+        digest = hashlib.sha256(f"{dataset.digest} {masks}".encode())
         for image in self._detections.images:
             for values in (image.answers.class_ids, image.answers.boxes, image.answers.scores):
                 digest.update(np.ascontiguousarray(values).tobytes())
         self.digest = digest.hexdigest()
-        self.name = checked_name("data set", f"{dataset.name}+detections")
+        self.name = checked_name("data set", f"{dataset.name}{_SEEN}")
         self.missing = [*dataset.missing, *self._pairing.notes]
+
+    @functools.cached_property
+    def notes(self) -> Sequence[str]:
+        """What is noticed about the detections; nothing about sound ones."""
+        notes = []
+        wrong, swapped, total = self._contradictions
+        if wrong >= max(_LEAST, _SHARE * total):
+            notes.append(
+                f"audit: the 2-D boxes of {wrong} of {total} detections are not those of their"
+                f" masks, of which {swapped} would be if they were x1, y1, x2, y2; which object is"
+                " whose is told by the boxes, and a method sees the masks"
+            )
+        numbers = evenly(sorted(self._pairing.images), _IMAGES)
+
+        def matched(step: int) -> int:
+            images, classes = self._detections.images, len(self.class_names)
+            answers = {n: counted_otherwise(step, classes, images[n].answers) for n in numbers}
+            return sum(bool(rows) for n in numbers for rows in self._pairing.rows(n, answers[n]))
+
+        given = matched(0)
+        for step, words in ((1, "one more"), (-1, "one less")):
+            if (found := matched(step)) >= max(_LEAST, 2 * given):
+                notes.append(
+                    f"audit: to read class ids as {words} would find {found} instead of {given}"
+                    f" objects in {len(numbers)} images; if that is it, number classes from 1:"
+                    f" {', '.join(self.class_names)}"
+                )
+        return notes
 
     def unseen(self, ref: SampleRef) -> str | None:
         """Why no detection is of a sample; None if one is."""
@@ -138,11 +181,18 @@ class DetectedDataset(WrappedDataset):
         return Sample(ref, observation, self._dataset.truth(ref))
 
 
-def _submission(folder: Path, files: Sequence[Path], classes: Sequence[str]) -> Submission:
-    """The boxes of all images, as answers without poses."""
+def _submission(
+    folder: Path, files: Sequence[Path], classes: Sequence[str]
+) -> tuple[Submission, str, NDArray[np.int64]]:
+    """The boxes of all images, as answers without poses; a digest of the masks; and how many boxes
+    are not those of their masks, would be with x and y exchanged, and are there."""
     images = []
+    digest, contradictions = hashlib.sha256(), np.zeros(3, np.int64)
     for file in files:
         found = _read(file, classes)
+        masks = found["masks"] != 0
+        digest.update(np.packbits(masks).tobytes())
+        contradictions += _contradictions(found["rois"].astype(np.float64), masks)
         answers = Answers(
             class_ids=found["class_ids"],
             poses=np.full((len(found["class_ids"]), 4, 4), np.nan),
@@ -150,7 +200,7 @@ def _submission(folder: Path, files: Sequence[Path], classes: Sequence[str]) -> 
             scores=found["scores"].astype(np.float64),
         )
         images.append(Image(name=file.stem, answers=answers))
-    return Submission(
+    submission = Submission(
         path=folder,
         form="detections",
         images=images,
@@ -158,6 +208,21 @@ def _submission(folder: Path, files: Sequence[Path], classes: Sequence[str]) -> 
         object_frame="nocs",
         gives=frozenset(),
     )
+    return submission, digest.hexdigest(), contradictions
+
+
+def _contradictions(boxes: Array, masks: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """How many boxes (n, 4) are not those of their masks (H, W, n), how many of those would be with
+    x and y exchanged, and n."""
+    seen = [row for row in range(len(boxes)) if masks[:, :, row].any()]
+    if not seen:
+        return np.array([0, 0, len(boxes)])
+    true = np.array([mask_box(masks[:, :, row]) for row in seen])
+    given, swapped = (
+        np.diagonal(box_ious(boxes[seen][:, order], true)) >= DETECTION_IOU
+        for order in ([0, 1, 2, 3], [1, 0, 3, 2])
+    )
+    return np.array([(~given).sum(), (~given & swapped).sum(), len(boxes)])
 
 
 def _files(folder: Path) -> list[Path]:

@@ -61,6 +61,7 @@ class _Rows:
     places: list[Place | None] = field(default_factory=list)
     reasons: list[str | None] = field(default_factory=list)
     detected: int = 0
+    surer: int = 0
 
     def image(self, name: str, header: Header) -> Image:
         named = bool(self.samples)
@@ -117,6 +118,11 @@ def read(path: Path) -> Submission:
         notes.append(
             f"the file has answers about {counts['lines']} of the {counts['samples']} samples of"
             " its run, which was not finished, or had errors"
+        )
+    if surer := sum(rows.surer for rows in images.values()):
+        notes.append(
+            f"the first hypothesis of a line is its answer, and {surer} lines have a surer one"
+            " further on, which does not count"
         )
     return Submission(
         path=path,
@@ -274,6 +280,8 @@ def _take_answer(
             rows.scores[-1] = _score(told, header, where)
         shaped = each is not None and "shape" in header.gives
         rows.places.append(place._replace(hypothesis=rank) if shaped else None)
+    first, *further = rows.scores[-len(hypotheses or [None]) :]
+    rows.surer += any(score > first for score in further)
 
 
 def _texts(told: Mapping[str, Any], names: Sequence[str], where: str) -> dict[str, str]:

@@ -237,10 +237,24 @@ def _array(values: Any) -> Any:
     """Lists of rows as an array, which is what their writers mean; the rest as it is."""
     if isinstance(values, list | tuple):
         try:
-            return np.array(values) if len(values) else np.zeros(0)
+            values = np.array(values) if len(values) else np.zeros(0)
         except ValueError:  # rows of several lengths
-            return None
+            values = np.array([None, *values], dtype=object)[1:]
+    if isinstance(values, np.ndarray) and values.dtype == object and values.ndim:
+        return _filled(values)
     return values
+
+
+def _filled(rows: NDArray[Any]) -> Any:
+    """Rows of which some are None, which is how some say that an instance failed: of NaN."""
+    given = [np.asarray(row) for row in rows.tolist() if row is not None]
+    shapes = {row.shape for row in given if row.dtype.kind in "iuf"}
+    if len(given) == len(rows) or len(shapes) != 1:
+        return None
+    [shape] = shapes
+    filled = np.full((len(rows), *shape), np.nan)
+    filled[[place for place, row in enumerate(rows.tolist()) if row is not None]] = given
+    return filled
 
 
 def check_boxes(boxes: NDArray[np.float64], where: str, *, ordered: bool) -> None:

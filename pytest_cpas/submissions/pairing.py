@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ from pytest_cpas.submissions.truth import OwnTruth
 from pytest_cpas.submissions.unnamed import places_of_unnamed
 from pytest_cpas.types import Array, Camera, DataError, Dataset, GroundTruth, SampleRef, some_of
 
-__all__ = ["Pairing", "assign", "assign_by_position"]
+__all__ = ["DETECTION_IOU", "NEAR", "Pairing", "assign", "assign_by_position", "box_ious"]
 
 #: A detection belongs to an object if their 2-D boxes overlap at least this much.
 DETECTION_IOU = 0.5
@@ -35,7 +35,7 @@ DETECTION_IOU = 0.5
 _SAME = 0.01
 
 #: The file's own truth is that of a sample if their positions are no further apart, metres.
-_NEAR = 0.1
+NEAR = 0.1
 
 #: Metres; an answer without a position is taken to be as far away.
 _FARTHEST = 1e300
@@ -77,7 +77,8 @@ class Pairing:
             self._numbers, self.notes = places_of_unnamed(submission, dataset, self._refs)
         else:
             self._numbers, self.notes = _images(submission, dataset.name, list(self._refs))
-            self.notes += _strangers(submission, dataset)
+            self.notes += _strangers(submission, dataset, self._numbers)
+        self.notes += _other_classes(submission, dataset)
         #: The data set's names of images by number in the submission, in the data set's order.
         self.images = {
             self._numbers[image]: image for image in self._refs if image in self._numbers
@@ -224,21 +225,55 @@ def _images(
     return numbers, notes
 
 
-def _strangers(submission: Submission, dataset: Dataset) -> Sequence[str]:
+def _strangers(
+    submission: Submission, dataset: Dataset, numbers: Mapping[str, int]
+) -> Sequence[str]:
     """What is amiss with the samples that answers name."""
     images = {ref.id: dataset.image_of(ref) for ref in dataset.samples}
-    strangers = [
-        sample
+    named = [
+        (image.name, sample)
         for image in submission.images
         for sample in dict.fromkeys(image.answers.samples or ())
-        if sample and images.get(sample) != image.name
+        if sample
     ]
-    if not strangers:
+    if not named:
         return []
-    return [
-        f"{len(strangers)} samples of the file are not in {dataset.name}, or not in the image that"
-        f" it says, and do not count: {some_of(strangers)}"
-    ]
+    notes = []
+    if strangers := [sample for image, sample in named if images.get(sample) != image]:
+        notes.append(
+            f"{len(strangers)} samples of the file are not in {dataset.name}, or not in the image"
+            f" that it says, and do not count: {some_of(strangers)}"
+        )
+    there = {sample for _, sample in named}
+    if lacking := [s for s, image in images.items() if s not in there and image in numbers]:
+        notes.append(
+            f"{len(lacking)} samples of images that are in the file are not in it, and count as not"
+            f" correct: {some_of(lacking)}"
+        )
+    return notes
+
+
+def _other_classes(submission: Submission, dataset: Dataset) -> Sequence[str]:
+    """What is amiss with the categories of the answers."""
+    counts = Counter(
+        submission.category(class_id)
+        for image in submission.images
+        for class_id in image.answers.class_ids.tolist()
+    )
+    known = {ref.category for ref in dataset.samples} | {""}
+    others = {category: count for category, count in counts.items() if category not in known}
+    if not others:
+        return []
+    seen = (
+        f"{sum(others.values())} of {counts.total()} answers are of categories that"
+        f" {dataset.name} has no sample of: {some_of(list(others))}"
+    )
+    if not {*counts} & {*dataset.class_names, *known}:
+        raise DataError(
+            f"{submission.path}: {seen}; expected some of {', '.join(sorted(known - {''}))} (what"
+            " was converted without --dataset NAME has made its categories up)"
+        )
+    return [f"{seen}; no sample is found by them"]
 
 
 def _key(name: str) -> tuple[str, ...]:
@@ -264,7 +299,7 @@ def _linked(
     for row, class_id in enumerate(truths.class_ids.tolist()):
         same = [ref.category == submission.category(class_id) for ref in refs]
         distances[row, same] = np.linalg.norm(true[same] - truths.poses[row, :3, 3], axis=1)
-    return dict(_one_to_one(-distances, -_NEAR))
+    return dict(_one_to_one(-distances, -NEAR))
 
 
 def _one_to_one(fits: Array, least: float) -> Iterable[tuple[int, int]]:
@@ -319,7 +354,7 @@ def _projected(truth: GroundTruth, camera: Camera) -> Array | None:
     return box
 
 
-def _box_ious(boxes: Array, others: Array) -> Array:
+def box_ious(boxes: Array, others: Array) -> Array:
     """IoU (n, m) of 2-D boxes (n, 4) and (m, 4), y1, x1, y2, x2; 0 of what has no area."""
     one, two = boxes[:, None], others[None]
     overlap = np.minimum(one[..., 2:], two[..., 2:]) - np.maximum(one[..., :2], two[..., :2])
@@ -354,7 +389,7 @@ def assign(boxes: Array, found: Array, same: NDArray[np.bool_]) -> list[list[int
 
     ``boxes`` (n, 4) of objects, ``found`` (m, 4) of detections, ``same`` (n, m): of one class.
     """
-    ious = np.where(same, _box_ious(boxes, found), 0)
+    ious = np.where(same, box_ious(boxes, found), 0)
     assigned: list[list[int]] = [[] for _ in boxes]
     pairs = dict(_one_to_one(ious, DETECTION_IOU))
     for place, row in pairs.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_pickle
 from pytest_cpas.submissions import by_image, cutoop, frame_lists, nocs
 from pytest_cpas.submissions.frames import Image, Submission
-from pytest_cpas.types import CATEGORIES, DataError, Dataset
+from pytest_cpas.types import CATEGORIES, DataError, Dataset, some_of
 
 __all__ = ["read", "read_folder"]
 
@@ -31,7 +32,10 @@ def read(path: Path, dataset: Dataset | None) -> Submission:
 
 
 def read_folder(path: Path, files: Sequence[Path], classes: Sequence[str]) -> Submission:
-    """Pickles of an image each, or of a list of them, that lie in a folder or in folders of it."""
+    """Pickles of an image each, or of a list of them, that lie in a folder or in folders of it.
+
+    Where some are called ``results_*.pkl``, those are read, and others are named.
+    """
 
     def images() -> Iterator[Image]:
         for file in sorted(files, key=lambda file: natural(file.as_posix())):
@@ -44,7 +48,13 @@ def read_folder(path: Path, files: Sequence[Path], classes: Sequence[str]) -> Su
         raise DataError(
             f"{path}: {len(files)} pickles, at most {nocs.MOST_IMAGES} are read; split it"
         )
-    return nocs.submission(path, "NOCS", images(), classes)
+    named = [file for file in files if file.name.startswith("results_")]
+    others = [file.relative_to(path).as_posix() for file in files if file not in set(named)]
+    files = named or files
+    read = nocs.submission(path, "NOCS", images(), classes)
+    if not named or not others:
+        return read
+    return replace(read, notes=[f"read are results_*.pkl; not read: {some_of(sorted(others))}"])
 
 
 def _images(path: Path, name: str, value: Any, classes: Sequence[str]) -> Iterator[Image]:

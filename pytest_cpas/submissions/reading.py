@@ -18,6 +18,10 @@ from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 __all__ = ["read_submission"]
 
 
+#: What files are called in forms that are no JSON lines.
+_FORMS = {".pkl", ".npz", ".csv", ".txt"}
+
+
 def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
     """Read a file of predictions, or a folder of them, in any form that is known.
 
@@ -26,8 +30,16 @@ def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
     known.
     """
     # which says itself what its classes and axes are
-    if path.suffix == ".jsonl" or (os.path.isdir(path) and any(path.glob("*.jsonl"))):
-        return jsonl_reading.read(path)
+    if os.path.isdir(path) and any(path.glob("*.jsonl")):
+        others = sorted(f.relative_to(path).as_posix() for f in _files(path) if f.suffix in _FORMS)
+        if others:
+            raise DataError(
+                f"{path}: it holds .jsonl files and {some_of(others)}; name one of them, or a"
+                " folder of one kind"
+            )
+        return _by_place(jsonl_reading.read(path), dataset)
+    if path.suffix == ".jsonl":
+        return _by_place(jsonl_reading.read(path), dataset)
     read = _read(path, dataset)
     if dataset is None:
         return read
@@ -35,6 +47,27 @@ def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
         images = [_in_our_axes(image, dataset.published_axes) for image in read.images]
         return replace(read, object_frame="shapenet", images=images)
     return read
+
+
+def _by_place(submission: Submission, dataset: Dataset | None) -> Submission:
+    """A submission without the names of its samples, if the data set has others for them all, or
+    for their images: those of a tree with images are not those of its truth alone."""
+    images = submission.images
+    named = [sample for image in images for sample in image.answers.samples or () if sample]
+    if dataset is None or not named or not dataset.samples:
+        return submission
+    known = {ref.id: dataset.image_of(ref) for ref in dataset.samples}
+    same = not known.keys().isdisjoint(named)
+    if same and not {image.name for image in images}.isdisjoint(known.values()):
+        return submission
+    unnamed = [replace(image, answers=replace(image.answers, samples=None)) for image in images]
+    here = f"{named[0]} of {images[0].name}"
+    there = " of ".join(next(iter(known.items())))
+    note = (
+        f"samples are called {here} here, and {there} in {dataset.name}: what an answer is about is"
+        " told by its image, class and 2-D box"
+    )
+    return replace(submission, images=unnamed, notes=[*submission.notes, note])
 
 
 def _read(path: Path, dataset: Dataset | None) -> Submission:
@@ -57,6 +90,8 @@ def _read(path: Path, dataset: Dataset | None) -> Submission:
         return nocs.read(path, classes)
     if path.suffix == ".pkl":
         return pickled.read(path, dataset)
+    if not os.path.exists(path):
+        raise DataError(f"{path}: no such file or folder")
     raise DataError(f"{path}: expected a .pkl, an .npz, a .csv, a .jsonl, or a folder of files")
 
 

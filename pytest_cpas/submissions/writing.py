@@ -23,6 +23,7 @@ from pytest_cpas.submissions import bop_csv, nocs
 from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.jsonl import Given, Header, answer_line
+from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.types import (
     CATEGORIES,
     AnswerError,
@@ -38,6 +39,10 @@ from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, to_standard
 __all__ = ["write_submission"]
 
 
+#: What files are called that somebody might ask for.
+_UNWRITTEN = {".json", ".pkl", ".pickle", ".npy", ".txt", ".zip", ".gz", ".yaml", ".h5"}
+
+
 def write_submission(
     submission: Submission, target: Path, *, dataset: Dataset | None = None, force: bool = False
 ) -> list[str]:
@@ -51,9 +56,16 @@ def write_submission(
     there = os.path.lexists(target)
     if there and not force:
         raise DataError(f"{target}: it is there already; name another, or pass --force")
+    if target.suffix in _UNWRITTEN:
+        raise DataError(
+            f"{target}: this form is not written; name a .jsonl, an .npz, a .csv, or a folder"
+        )
     if target.is_dir() is not (target.suffix not in (".jsonl", ".npz", ".csv")) and there:
         raise DataError(f"{target}: a file would take the place of a folder, or a folder of a file")
     lost: Counter[str] = Counter()
+    submission = _named(submission, dataset)
+    if dataset is None and any(name.startswith("class_") for name in submission.classes):
+        lost["what classes are called, which --dataset NAME knows"] = 1
     if target.suffix == ".jsonl":
         with replaced(target) as file:
             for line in _json_lines(submission, lost):
@@ -68,6 +80,21 @@ def write_submission(
     else:
         _write_folder(target, _nocs_images(submission, dataset, lost))
     return [told.format(count) for told, count in lost.items() if count]
+
+
+def _named(submission: Submission, dataset: Dataset | None) -> Submission:
+    """A submission whose images have names: where they have none, those of the data set."""
+    images = submission.images
+    if all(image.name for image in images):
+        return submission
+    if dataset is None:
+        raise DataError(
+            f"{submission.path}: its images have no names, and no form can be without; name the"
+            " data set, in whose order they are taken: --cpas-dataset NAME"
+        )
+    pairing = Pairing(submission, dataset)
+    named = [replace(images[number], name=name) for number, name in pairing.images.items()]
+    return replace(submission, images=named)
 
 
 # -- JSON lines -----------------------------------------------------------------------------
@@ -157,20 +184,23 @@ def _score(answers: Answers, row: int, submission: Submission) -> float | None:
 
 
 def _kept(answers: Answers, lost: Counter[str], form: str) -> list[int]:
-    """The rows that a form of detections can say: no failure that the file declares, and of further
-    hypotheses those that are less sure than the best."""
-    declared = [False] * len(answers)
-    if answers.reasons is not None:
-        declared = [reason is not None for reason in answers.reasons]
-    lost["the reasons of {} failures, which are left out"] += sum(declared)
-    rows = [row for row in range(len(answers)) if not declared[row]]
+    """The rows that a form of detections can say: no failure that the file declares, unless it is a
+    detection that can be ranked, and of further hypotheses those that are less sure than the best.
+    """
+    reasons: Sequence[str | None] = answers.reasons or [None] * len(answers)
+    scores = answers.scores
+    ranked = np.zeros(len(answers), bool) if scores is None else ~np.isnan(scores)
+    gone = [reason is not None and not ranked[row] for row, reason in enumerate(reasons)]
+    lost["the reasons of {} failures, which are left out"] += sum(gone)
+    kept = sum(reason is not None for reason in reasons) - sum(gone)
+    lost["the reasons of {} failures, which have a pose of zeros"] += kept
+    rows = [row for row in range(len(answers)) if not gone[row]]
     if answers.samples is not None:
         lost["the names of {} samples: objects are found by class and place in their image"] += len(
             {answers.samples[row] for row in rows} - {""}
         )
     if answers.ranks is not None and answers.samples is not None:
         bests = {answers.samples[r]: r for r in rows if answers.ranks[r] == 0}
-        scores = answers.scores
 
         def is_clear(row: int) -> bool:
             sample = answers.samples[row] if answers.samples else ""

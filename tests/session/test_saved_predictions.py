@@ -1,6 +1,7 @@
 """``--cpas-save-predictions``, and what it refuses."""
 
 import json
+import shutil
 
 import pytest
 from harness import RUN
@@ -100,14 +101,18 @@ def test_several_runs_and_seeds(cpas, pytester):
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (("--cpas-predictions=answers.jsonl", f"{SAVE}=answers.jsonl"), "is what is judged"),
+        (("--cpas-predictions=answers.jsonl", f"{SAVE}=answers.jsonl"), "is in, what is judged"),
         (("--cpas-predictions=answers.jsonl", f"{SAVE}=answers.txt"), "expected a .jsonl, or a"),
+        (("--cpas-predictions=answers.jsonl", f"{SAVE}=new.npz"), "expected a .jsonl, or a"),
+        (("--cpas-predictions=mine", f"{SAVE}=mine/new.jsonl"), "is in, what is judged"),
         (("--cpas-merge=kept/perfect-tiny.jsonl", f"{SAVE}=x.jsonl"), "does nothing without"),
     ],
 )
 def test_what_cannot_be_meant(cpas, pytester, args, words):
     assert cpas("Perfect", f"{SAVE}=answers.jsonl", "--cpas-results=kept").ret == 0
     (pytester.path / "answers.txt").touch()
+    (pytester.path / "mine").mkdir()
+    shutil.copy(pytester.path / "answers.jsonl", pytester.path / "mine")
     data = () if "--cpas-merge" in args[0] else ("--cpas-dataset=tiny:Tiny",)
     result = pytester.runpytest_inprocess(*RUN, *args, *data)
     assert result.ret == 4

@@ -188,10 +188,12 @@ def test_truth_of_the_file_beside_that_of_the_data_set(share, tmp_path):
     notes = StoredRun(path, dataset=Real275(tmp_path / "data")).notes
     assert [note for note in notes if "ground truth" in note] == (
         [
-            "1 of 96 objects of the file's own ground truth are none of real275's, and do not"
-            " count",
-            "the file's own ground truth differs from real275's for 12 of 95 objects, by up to"
-            " 30.0 mm and 90.0 deg; that of real275 counts",
+            "1 of 96 objects of the file's own ground truth are not within 10 cm of one of"
+            " real275's of their class and image, and do not count",
+            "1 objects of real275 are not in the file's own ground truth",
+            "the file's own ground truth differs from real275's for 12 of 95 objects that are in"
+            " both, by up to 30.0 mm (centres), 0.0 mm (sides) and 90.0 deg; that of real275"
+            " counts",
         ]
         if share
         else []

@@ -105,6 +105,11 @@ def test_round_trip(dataset, tmp_path):
         assert facts["rotation_deg"] == pytest.approx(10, abs=1e-9)
 
 
+def test_metres_are_noticed(dataset, tmp_path):
+    near = written(tmp_path / "x.csv", lambda place, made: made * [[1, 1, 1, 0.001]])
+    assert "are the translations in metres?" in StoredRun(near, dataset=dataset).notes[0]
+
+
 def test_without_header_and_with_several_estimates(dataset, tmp_path):
     path = written(tmp_path / "x.csv")
     right = path.read_text().splitlines()[1:]
