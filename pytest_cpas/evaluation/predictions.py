@@ -6,6 +6,7 @@ The truth is that of a data set, or, where none is named, what the file says its
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -17,6 +18,7 @@ from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.facts import Detected, fact, pair_table
+from pytest_cpas.metrics.boxes import expect_pairs
 from pytest_cpas.protocols import Protocol, Ranking, facts_of, rank, ranking_columns
 from pytest_cpas.submissions import (
     Answers,
@@ -90,7 +92,14 @@ class StoredRun(Run):
             },
             protocols=protocols,
         )
-        self._places = {ref.id: place for place, ref in enumerate(self.samples)}
+        #: The samples that are measured together: of one scene, since workers share those out.
+        self._batches = [
+            scene[start : start + _BATCH]
+            for _, of in itertools.groupby(self.samples, key=lambda ref: ref.scene)
+            for scene in [list(of)]
+            for start in range(0, len(scene), _BATCH)
+        ]
+        self._places = {ref.id: n for n, batch in enumerate(self._batches) for ref in batch}
         self.quick_truth = self._dataset.quick_truth
         self.classes = self._submission.classes
         if self._submission.method:
@@ -107,7 +116,7 @@ class StoredRun(Run):
 
     def judge(self, ref: SampleRef) -> Row:
         """The row of one sample; raises :class:`SampleError` for a broken pose."""
-        row = self._batch(self._places[ref.id] // _BATCH)[ref.id]
+        row = self._batch(self._places[ref.id])[ref.id]
         if isinstance(row, ContractError):
             raise SampleError(f"{self.method}, sample {ref.id} ({ref.category}): {row}")
         if self.take_answer is not None:
@@ -227,7 +236,8 @@ class StoredRun(Run):
         """The rows of some samples at once: measuring in bulk is what makes large files quick."""
         rows: dict[str, Row | ContractError] = {}
         pairs: dict[SampleRef, tuple[GroundTruth, Prediction, Camera | None]] = {}
-        for ref in self.samples[number * _BATCH : (number + 1) * _BATCH]:
+        expect_pairs(len(self.samples))
+        for ref in self._batches[number]:
             try:
                 pairs[ref] = self.truth(ref), self._prediction(ref), self._camera(ref)
             except ContractError as error:

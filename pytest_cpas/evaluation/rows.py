@@ -78,9 +78,19 @@ class Row(Answered):
 
     def plain(self) -> dict[str, Any]:
         """As values of JSON, but for infinite facts."""
-        values = asdict(self)
-        if not self.detections:
-            del values["detections"]
+        # asdict() takes ten times as long
+        answers = tuple(
+            {"facts": dict(each.facts), "failure": each.failure, "estimate": each.estimate}
+            for each in self.answers
+        )
+        values: dict[str, Any] = {
+            "category": self.category,
+            "answers": answers,
+            "sample": self.sample,
+            "shape": self.shape,
+        }
+        if self.detections:
+            values["detections"] = tuple(map(asdict, self.detections))
         return values
 
     @property

@@ -23,7 +23,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["overlap_and_torque"]
+__all__ = ["expect", "overlap_and_torque"]
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array]]
@@ -150,6 +150,13 @@ _clipped_by_numpy = 0
 
 #: From here on the compiled kernel is used, if numba is installed.
 _WARM = 200_000
+
+
+def expect(pairs: int) -> None:
+    """Take the compiled kernel from the beginning if so many pairs will make it pay."""
+    global _clipped_by_numpy
+    if pairs >= _WARM:
+        _clipped_by_numpy = _WARM
 
 
 @functools.cache

@@ -21,18 +21,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pytest_cpas.metrics._box_ball import largest_overlap_of_ball
-from pytest_cpas.metrics._box_clipping import overlap_and_torque
+from pytest_cpas.metrics._box_clipping import expect, overlap_and_torque
 from pytest_cpas.metrics._box_spin import largest_overlap
 from pytest_cpas.metrics.pose import checked_rotations, checked_vectors
 from pytest_cpas.types import ContractError, Mesh, Pose, Symmetry
 from pytest_cpas.types._arrays import SMALLEST_OF_METRICS, check_sides, checked_integer
 
-__all__ = ["axis_aligned_box_iou", "iou_plus", "nocs_legacy_iou", "oriented_iou", "symmetric_iou"]
+__all__ = [
+    "axis_aligned_box_iou",
+    "expect_pairs",
+    "iou_plus",
+    "nocs_legacy_iou",
+    "oriented_iou",
+    "symmetric_iou",
+]
 
 Array = NDArray[np.float64]
 
 #: More spins than that are a slip of the pen.
 _MOST_SPINS = 10_000
+
+#: How often a pair of boxes is clipped, about, if one of them is symmetric.
+_CLIPPED = 30
 
 #: The eight corners of a box in units of half its extents.
 _CORNERS = np.stack(np.meshgrid((1, -1), (1, -1), (1, -1), indexing="ij"), axis=-1).reshape(8, 3)
@@ -102,6 +112,15 @@ def symmetric_iou(
             volume = largest_overlap(*turned, half_a, half_b, axis, tolerance)
         shared = np.maximum(shared, volume)
     return _ratio(shared, a[2], b[2]).reshape(shape)
+
+
+def expect_pairs(pairs: int) -> None:
+    """Load the compiled kernel now, if there is one and so many pairs of boxes make it pay.
+
+    Otherwise it is loaded once numpy has worked for as long as that takes. The values are the same
+    but for rounding.
+    """
+    expect(_CLIPPED * pairs)
 
 
 def axis_aligned_box_iou(

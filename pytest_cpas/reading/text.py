@@ -164,6 +164,8 @@ def encodable(text: str) -> str:
 
 def everywhere(escape: Callable[[str], str], value: Any) -> Any:
     """Plain values (mappings, lists, tuples) with every text in them escaped, keys as well."""
+    if value is None or isinstance(value, float | int):  # most of all values, in bulk
+        return value
     if isinstance(value, str):
         return escape(value)
     if isinstance(value, Mapping):

@@ -438,12 +438,15 @@ def answered(path: Path) -> None:
     from types import SimpleNamespace
 
     from pytest_cpas.submissions import failures, order, read_submission
+    from pytest_cpas.types import SampleRef
 
     names = [f"obj_{number:06d}" for number in range(1, 8)]
     known = dict.fromkeys(names, np.ones(3)) if path.suffix == ".csv" else {}
+    samples = [SampleRef(id="s", category="obj_000001", scene="")]
     dataset = SimpleNamespace(
-        name="x", class_names=names, published_axes=None, published_centres=known
-    )
+        name="x", class_names=names, published_axes=None, published_centres=known,
+        samples=samples, image_of=lambda ref: "a",
+    )  # fmt: skip
     if path.suffix == ".txt":
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder, "0001.txt")
