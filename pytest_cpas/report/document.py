@@ -42,6 +42,7 @@ from pytest_cpas.golden.published import (
     published_cells,
     published_datasets,
     published_name,
+    published_sample_counts,
 )
 from pytest_cpas.metrics.precision import Count, Errors, curve
 from pytest_cpas.protocols import (
@@ -175,8 +176,13 @@ def run_document(
     }
     if failures := Counter(s.failure for s in new.samples.values() if s.failure):
         content["failures"] = dict(failures.most_common(_MOST_FAILURES))
-    if run.notes:
-        content["notes"] = list(run.notes)
+    notes = [*run.notes]
+    listed, published_count = content["listed"], sum(published_sample_counts(run.dataset).values())
+    if listed < published_count:
+        told = f"{listed} of the {published_count} samples that were published are at hand"
+        notes += [told] if told not in notes else []  # where a report is judged anew
+    if notes:
+        content["notes"] = notes
     return content
 
 

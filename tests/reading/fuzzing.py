@@ -400,6 +400,30 @@ def forms_without_truth(kind: str) -> list[bytes]:
     return [saved(lambda file: np.savetxt(file, pose))]
 
 
+def detections() -> list[bytes]:
+    """What a detector found in an image."""
+    import pickle
+
+    masks = np.zeros((6, 8, 2), bool)
+    masks[1:3, 1:3] = True
+    found = {
+        "rois": np.array([[1, 1, 3, 3]] * 2, np.int32), "class_ids": np.array([2, 6]),
+        "scores": np.array([0.9, 0.8], np.float32), "masks": masks,
+    }  # fmt: skip
+    return [pickle.dumps(found, 2)]
+
+
+def detected(path: Path) -> None:
+    """What a detector found, in a folder of its own."""
+    import tiny
+
+    from pytest_cpas.submissions import DetectedDataset
+
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "results_test_scene_0_0000.pkl").symlink_to(path.absolute())
+        DetectedDataset(tiny.Tiny(None), Path(folder))
+
+
 def json_lines() -> list[bytes]:
     """Our own form: with points, a mesh and a failure, and of detections."""
     from pytest_cpas.submissions import Given, Header, answer_line
@@ -777,6 +801,7 @@ READERS: dict[str, Reader] = {
                      mutations=() if kind == "catre" else TEXT)
         for kind, suffix in (("catre", ".pkl"), ("bop", ".csv"), ("matrices", ".txt"))
     },
+    "detections": Reader(detected, detections, ".pkl"),
     "json lines": Reader(answered, json_lines, ".jsonl",
                          mutations=(leaf_of_line, leaf_of_line, *TEXT)),
     "results": Reader(merged, results, ".jsonl", mutations=(checksummed,) * 4),
@@ -792,8 +817,8 @@ READERS: dict[str, Reader] = {
                      covers=("schemas.check_schema",)),
 }  # fmt: skip
 
-#: Those that are not handed the path: they are about what is in a file.
-WITHOUT_PATH = ("numbers", "golden", "golden points", "older golden")
+#: Those that are not handed the path, or a link to it: they are about what is in a file.
+WITHOUT_PATH = ("detections", "numbers", "golden", "golden points", "older golden")
 
 # -- running ------------------------------------------------------------------------------------
 
