@@ -10,8 +10,11 @@
     obj_models/real_test/MODEL.{obj,txt}  mesh in metres and its extents; bottoms are missing
     fixed_real_test_obj_models/MODEL.obj  closed meshes, released with the paper's toolbox
 
-``gt_RTs`` belong to the objects in ascending mask id, distractors left out. Its object axes, and
-those of the meshes, are NOCS's; both are turned into the ShapeNet frame here. A tree may be
+``gt_RTs`` belong to the objects of whose id the mask has pixels, ascending, distractors left out:
+in seven frames (scene_1/0198 to 0204) the meta file lists one that is hidden, and has no pose. So
+there are 16118 objects, and 16125 lines of meta files. A frame of which it cannot be told whose the
+poses are is refused, and so is an object where the pose of another one is. Object axes, and those
+of the meshes, are NOCS's; both are turned into the ShapeNet frame here. A tree may be
 partial: what is there is listed, what is missing is named once. Of a frame without images only the
 truth is known, by which stored predictions are judged. Where it has no meta file either, its
 ground truth must have ``gt_class_ids`` and ``gt_scales`` (n, 3), relative to the scale; it may have
@@ -34,6 +37,7 @@ from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.datasets._values import check_last_rows
 from pytest_cpas.reading.files import read_text
+from pytest_cpas.reading.images import read_ids
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers
 from pytest_cpas.reading.paths import natural
@@ -64,6 +68,13 @@ SYMMETRIC_CATEGORIES = frozenset({"bottle", "bowl", "can"})
 
 _FRAME_FILE = re.compile(r"(\d+)_(?:color|depth|mask|coord|meta)\.")
 _IMAGES = ("color", "depth", "mask", "coord")
+
+#: Corners of a box in units of its extents.
+_CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(8, 3)
+
+#: At least this share of an object's pixels is within the 2-D box of its posed box, which is
+#: enlarged on every side by this share of its size.
+_INSIDE, _MARGIN = 0.5, 0.2
 
 _TRUTH_FILE = re.compile(r"results_real_test_(scene_\d+)_(\d+)\.pkl")
 
@@ -103,8 +114,8 @@ class NocsTree(Tree):
 
     def __init__(self, name: str, root: Path, camera: Camera) -> None:
         """Index the tree."""
+        self.camera = camera  # making the index needs it
         super().__init__(name, root)
-        self.camera = camera
         self._poses = functools.lru_cache(maxsize=64)(self._read_poses)
         self._mesh = functools.cache(self._read_mesh)
 
@@ -171,7 +182,7 @@ class NocsTree(Tree):
                 return [(frame, self._read_classes(scan, frame))]
             text = scan.read(meta).decode("utf-8", "replace")
             self._scan_truth(scan, frame)
-            return [(frame, self._read_meta(frame, text))]
+            return [(frame, self._posed(scan, frame, self._read_meta(frame, text)))]
         except ContractError as error:
             scan.damaged.append(str(error))
             return []
@@ -197,6 +208,32 @@ class NocsTree(Tree):
     def _scan_truth(self, scan: Scan, frame: str) -> None:
         """Add to the digest what the truth comes from."""
         scan.read(_truth_path(frame))
+
+    def _posed(self, scan: Scan, frame: str, listed: list[Listed]) -> list[Listed]:
+        """Those of the listed objects that have a pose, and which it is.
+
+        Raises :class:`DataError` where that cannot be told.
+        """
+        path = self.root / _truth_path(frame)
+        try:
+            count = len(self._read_poses(path)[0])
+        except ContractError:
+            return listed  # which every sample of the frame will say
+        if count == len(listed):
+            return listed
+        mask = f"{self.frames}/{frame}_mask.png"
+        seen = f"{path}: {count} poses, but the meta file lists {len(listed)} objects"
+        if not scan.has(mask):
+            raise DataError(f"{seen}, and there is no mask that says which are seen")
+        scan.weigh(mask)
+        ids = np.unique(read_ids(self.root / mask, self.camera)).tolist()
+        posed = [item for item in listed if item.mask_id in ids]
+        if count != len(posed):
+            raise DataError(
+                f"{seen}, of which {len(posed)} have pixels in the mask (its ids are"
+                f" {', '.join(map(str, ids))}); which pose is whose cannot be told"
+            )
+        return [item._replace(pose_index=n, poses=count) for n, item in enumerate(posed)]
 
     def _read_meta(self, frame: str, text: str) -> list[Listed]:
         # a model's name becomes part of a path
@@ -255,11 +292,39 @@ class NocsTree(Tree):
         truth = self.truth(ref)
         frame = ref.id.rsplit("/", 1)[0]
         mask = self._ids(frame) == Listed(*self._details[ref.id]).mask_id
+        self._check_place(ref, truth, mask)
         rgb = self._read_rgb(self.root / f"{self.frames}/{frame}_color.png", self.camera)
         observation = Observation(
             category=ref.category, rgb=rgb, depth=self._depth(frame), mask=mask, camera=self.camera
         )
         return Sample(ref, observation, truth)
+
+    def _check_place(self, ref: SampleRef, truth: GroundTruth, mask: NDArray[np.bool_]) -> None:
+        """Raise :class:`DataError` if the pose of another object is where this one's pixels are."""
+        item, frame = Listed(*self._details[ref.id]), self.image_of(ref)
+        path = self.root / _truth_path(frame)
+        if self._inside(truth.pose.matrix, truth.extents, mask) >= _INSIDE:
+            return
+        # of the other poses an upright box will do
+        for index, matrix in enumerate(self._poses(path)[0]):
+            if index != item.pose_index and self._inside(matrix, None, mask) >= _INSIDE:
+                raise DataError(
+                    f"{path}: pose {index} is where the pixels of {ref.id} are, and its own,"
+                    f" {item.pose_index}, is elsewhere; which pose is whose cannot be told"
+                )
+
+    def _inside(self, matrix: Array, extents: Array | None, mask: NDArray[np.bool_]) -> float:
+        """The share of a mask's pixels that are in the 2-D box of a posed box; of a matrix with a
+        scale, which is the diagonal, without ``extents``. 1 where nothing can be said."""
+        corners = _CORNERS * (1 / np.sqrt(3) if extents is None else extents)
+        corners = corners @ matrix[:3, :3].T + matrix[:3, 3]
+        if not mask.any() or corners[:, 2].min() <= 0:
+            return 1.0 if extents is not None else 0.0  # what is none says so itself
+        corners = self.camera.project(corners)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        margin = _MARGIN * (high - low)
+        pixels = np.argwhere(mask)[:, ::-1]
+        return float(((pixels >= low - margin) & (pixels <= high + margin)).all(axis=1).mean())
 
     @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:

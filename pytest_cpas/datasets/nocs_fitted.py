@@ -67,7 +67,6 @@ class FittedTree(NocsTree):
 
     def __init__(self, name: str, root: Path, camera: Camera) -> None:
         """Index the tree."""
-        self.camera = camera  # making the index needs it
         super().__init__(name, root, camera)
         self._read_coord = functools.lru_cache(maxsize=2)(read_rgb)
 
@@ -86,6 +85,13 @@ class FittedTree(NocsTree):
         for path in (f"{self.frames}/{frame}_mask.png", self._depth_path(frame)):
             scan.weigh(path)
         scan.weigh(f"{self.frames}/{frame}_coord.png")
+
+    def _posed(self, scan: Scan, frame: str, listed: list[Listed]) -> list[Listed]:
+        """All of them: poses are fitted."""
+        return listed
+
+    def _check_place(self, ref: SampleRef, truth: GroundTruth, mask: NDArray[np.bool_]) -> None:
+        """They are fitted to the mask."""
 
     def _seen(
         self, scan: Scan, listed: list[tuple[str, list[Listed]]]

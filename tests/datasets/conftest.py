@@ -41,7 +41,7 @@ def tree(tmp_path: Path) -> Path:
     diagonal = np.linalg.norm(EXTENTS_NOCS)
     scaled[:3, :3] = diagonal * TURN.as_matrix()
     poses = np.stack([scaled, scaled])
-    poses[:, :3, 3] = [[0.1, 0.2, 0.9], [-0.1, 0.0, 1.1]]
+    poses[:, :3, 3] = [[-0.26, -0.14, 0.9], [-0.32, 0.2, 1.1]]
     for number in ("0000", "0001"):
         Image.fromarray(np.full((480, 640, 3), 51, np.uint8)).save(scene / f"{number}_color.png")
         Image.fromarray(depth).save(scene / f"{number}_depth.png")

@@ -38,7 +38,7 @@ def test_samples_are_listed_and_read(tree):
     assert observed.depth[0, 0] == 0
     np.testing.assert_allclose(observed.rgb, 0.2)
     # the second pose belongs to mask id 5: distractors have none
-    np.testing.assert_allclose(truth.pose.translation, [-0.1, 0, 1.1])
+    np.testing.assert_allclose(truth.pose.translation, [-0.32, 0.2, 1.1])
     np.testing.assert_allclose(truth.pose.rotation, (TURN * NOCS).as_matrix(), atol=1e-12)
     # NOCS x is ShapeNet z
     np.testing.assert_allclose(truth.extents, EXTENTS_NOCS[[2, 1, 0]])
@@ -148,11 +148,6 @@ MIRROR = np.diag([1.0, 1, -1, 1])[None].repeat(2, 0)
         (TRUTH, truncate, "not a readable pickle"),
         (TRUTH, dump([]), "holds a list"),
         (TRUTH, dump({}), r"gt_RTs is not an array \(n, 4, 4\)"),
-        (
-            TRUTH,
-            dump({"gt_RTs": np.zeros((0, 4, 4))}),
-            "0 poses, but the meta file lists 2 objects",
-        ),
         (TRUTH, dump({"gt_RTs": np.zeros((2, 4, 4))}), "last row of matrix 0"),
         (TRUTH, dump({"gt_RTs": np.tile(np.diag([0, 0, 0, 1.0]), (2, 1, 1))}), "determinant 0"),
         (TRUTH, dump({"gt_RTs": np.full((2, 4, 4), np.nan)}), "finite numbers"),
@@ -175,6 +170,58 @@ def test_damage_is_named_and_the_other_samples_still_load(tree, file, damage, wo
         data.load(data.samples[1])
     assert len(str(caught.value).splitlines()) == 1
     data.load(data.samples[2])
+
+
+def poses_of(tree):
+    return pickle.loads((tree / TRUTH).read_bytes())["gt_RTs"]
+
+
+def test_a_hidden_object_that_is_listed_has_no_pose(tree):
+    """As in seven published frames: the others keep theirs."""
+    sound = {ref.id: Real275(tree).truth(ref).pose.matrix for ref in Real275(tree).samples}
+    with (tree / f"{SCENE}_meta.txt").open("a") as file:
+        file.write("3 1 bottle_c\n4 0 thing\n")
+    data = Real275(tree)
+    assert (data.missing, data.damaged) == ([], [])
+    assert [ref.id for ref in data.samples] == [*sound]
+    for ref in data.samples:
+        np.testing.assert_array_equal(data.load(ref).truth.pose.matrix, sound[ref.id])
+
+
+def erased(tree, id_):
+    mask = np.array(Image.open(tree / f"{SCENE}_mask.png"))
+    mask[mask == id_] = 255
+    Image.fromarray(mask).save(tree / f"{SCENE}_mask.png")
+
+
+def test_an_object_that_is_erased_leaves_the_other_its_pose(tree):
+    expected = Real275(tree).truth(Real275(tree).samples[1]).pose.matrix
+    dump({"gt_RTs": poses_of(tree)[1:]})(tree / TRUTH)
+    erased(tree, 1)
+    data = Real275(tree)
+    assert data.samples[0].id == "scene_1/0000/5"
+    np.testing.assert_array_equal(data.load(data.samples[0]).truth.pose.matrix, expected)
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(0, "0 poses, but the meta file lists 2 objects, of which 2"), (1, "1 poses"), (3, "3 poses")],
+)
+def test_poses_that_are_nobodys_are_refused(tree, count, words):
+    poses = np.concatenate([poses_of(tree)] * 2)[:count].reshape(-1, 4, 4)
+    dump({"gt_RTs": poses})(tree / TRUTH)
+    data = Real275(tree)
+    assert [ref.id for ref in data.samples] == ["scene_1/0001/1", "scene_1/0001/5"]
+    (line,) = data.damaged
+    assert words in line
+    assert "its ids are 1, 2, 5, 255" in line
+
+
+def test_a_pose_that_is_elsewhere_than_its_object_is_refused(tree):
+    dump({"gt_RTs": poses_of(tree)[::-1]})(tree / TRUTH)
+    data = Real275(tree)
+    with pytest.raises(ContractError, match=r"pose 0 is where the pixels of scene_1/0000/5 are"):
+        data.load(data.samples[1])
 
 
 @pytest.mark.parametrize(
