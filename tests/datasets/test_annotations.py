@@ -248,7 +248,7 @@ def harmless(name: str, place: tuple, wrong: object) -> bool:
     return wrong == "x" and names
 
 
-@pytest.mark.parametrize("poses", [0, 1, 3])
+@pytest.mark.parametrize("poses", [0, 3])  # the mask shows one of the two
 def test_real275_has_a_pose_for_each_object(poses, tmp_path):
     frame = tmp_path / "real_test" / "scene_1"
     for kind, mode in (("color", "RGB"), ("depth", "I;16"), ("mask", "L")):
