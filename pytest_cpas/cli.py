@@ -207,16 +207,16 @@ def _golden_diff(golden: Path, revision: str) -> int:
     except GoldenError as error:
         say(f"pytest-cpas golden: {error}", file=sys.stderr)
         return 2
-    if lines:
-        say(*lines)
+    say(*(lines or [f"{golden}: no table differs from {revision}"]))
     return 1 if lines else 0
 
 
 def _noise(options: argparse.Namespace, rest: Sequence[str]) -> int:
     from pytest_cpas.golden import GoldenError
-    from pytest_cpas.session.platforms import learn_noise, measured_runs
+    from pytest_cpas.session.platforms import check_golden, learn_noise, measured_runs
 
     try:
+        check_golden(options.golden)
         with tempfile.TemporaryDirectory() as folder:
             runs = {file: [Path(file)] for file in options.results}
             if not runs:

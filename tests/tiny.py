@@ -331,6 +331,8 @@ class NoInfo:
 class Wobbles(Perfect):
     """Wrong by chance, which the seed decides, in every other sample."""
 
+    info = replace(Perfect.info, deterministic=False)
+
     def predict(self, batch: list[Observation], seed: int) -> list[Prediction]:
         return [self.by_chance(round(float(o.rgb[0, 0, 0]) * 255), seed) for o in batch]
 

@@ -42,6 +42,7 @@ from pytest_cpas.types import (
     raised_as,
 )
 from pytest_cpas.types.datasets import camera_of, mask_box, readers_of
+from pytest_cpas.types.declarations import TOLERANCE
 from pytest_cpas.types.frames import standard_prediction, to_standard
 
 __all__ = ["MethodError", "MethodRun", "check_answers"]
@@ -135,9 +136,12 @@ class MethodRun(Run):
         programs = self._programs = [program_of(*parts) for parts in self._parts]
         self._meanwhile = Meanwhile(self.loading.seen, *(program.seen for program in programs))
         self.files = united(*(program.files for program in programs))
+        unusual = {} if method.info.deterministic else {"deterministic": "no"}
+        if method.info.tolerance != TOLERANCE:
+            unusual["tolerance"] = f"{method.info.tolerance:g}"
         self.provenance = {
             **self.provenance,
-            **({} if method.info.deterministic else {"deterministic": "no"}),
+            **unusual,
             **self.loading.undeclared_weights,
             **programs[0].facts(),
             "data_code": programs[1].code,

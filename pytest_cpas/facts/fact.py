@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas.facts.answers import AnswerBatch
 from pytest_cpas.types import Array, ContractError
+from pytest_cpas.types.declarations import TOLERANCE
 
 __all__ = ["SAME", "Fact", "FactError", "Facts", "Known", "Part"]
 
@@ -27,7 +28,6 @@ Known: TypeAlias = Literal["shape", "camera"]
 
 #: Values of a fact that differ by a smaller share are the same for people.
 SAME = 1e-3
-
 
 #: What those are called of which a limit tells less.
 _NOUNS = {
@@ -75,14 +75,15 @@ class Fact:
 
     @property
     def finest(self) -> float:
-        """What nobody looks at: a micrometre, 1e-4 degrees, 1e-3 pixels, 1e-5 of what has no
-        unit."""
-        return {"m": 1e-6, "deg": 1e-4, "px": 1e-3, "": 1e-5}[self.unit]
+        """What a method that declares no other tolerance may move a fact by: 1e-5 metres, as many
+        radians, 0.001 pixels, 1e-5 of what has no unit."""
+        return {"m": 1e-5, "deg": math.degrees(1e-5), "px": 1e-3, "": 1e-5}[self.unit]
 
-    def is_close(self, one: float, other: float) -> bool:
+    def is_close(self, one: float, other: float, tolerance: float = TOLERANCE) -> bool:
         """Whether two values differ by no more than :data:`SAME` of themselves, or by
-        :attr:`finest`."""
-        return math.isclose(one, other, rel_tol=SAME, abs_tol=self.finest)
+        :attr:`finest`; ``tolerance``: the one that a method declares, metres and radians."""
+        floor = self.finest * max(1.0, tolerance / TOLERANCE)
+        return math.isclose(one, other, rel_tol=SAME, abs_tol=floor)
 
     @property
     def most(self) -> float:

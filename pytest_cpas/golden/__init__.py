@@ -9,7 +9,7 @@ profile are in the files of one folder, ``DATASET+robustness``. Tables of earlie
 """
 
 from pytest_cpas.golden.comparison import compare
-from pytest_cpas.golden.exact import detectable_flips
+from pytest_cpas.golden.exact import ELSEWHERE, detectable_flips
 from pytest_cpas.golden.files import (
     find_golden,
     keep_noise,
@@ -51,6 +51,7 @@ from pytest_cpas.types import Verdict
 
 __all__ = [
     "ALARM",
+    "ELSEWHERE",
     "FORMAT",
     "GoldenError",
     "Noise",

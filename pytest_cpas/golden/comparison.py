@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.golden.drift import may_not_move
 from pytest_cpas.golden.exact import Exact, to_record
 from pytest_cpas.golden.jitter import answers_of, drift_words, loss_words, luckiest
 from pytest_cpas.golden.pairing import (
@@ -29,9 +30,19 @@ from pytest_cpas.golden.pairing import (
 from pytest_cpas.golden.spread import ALARM, DOUBT, Spread
 from pytest_cpas.golden.tables import RunTable, differences
 from pytest_cpas.golden.words import Word
-from pytest_cpas.protocols import CountColumn
+from pytest_cpas.protocols import CountColumn, asked_for
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.samples import ALL, COMPLETENESS
+
+#: What is said of a category under several seeds: the first of these that one of them gives.
+SEVERITY = (
+    Word.REGRESSED,
+    Word.CHANGED,
+    Word.IMPROVED,
+    Word.BORDERLINE,
+    Word.NOT_CHECKED,
+    Word.MATCHES,
+)
 
 
 def compare(
@@ -76,6 +87,8 @@ def compare(
     pairings = [Pairing.of(golden, new, category) for category in categories]
     notes = {category: _notes(golden, new, category) for category in categories}
     others = _other_columns(golden, new)
+    if golden.seeds > 1 and all(may_not_move(golden, new, category) for category in categories):
+        return [*_seed_by_seed(golden, new, columns, alarm, notes), *others]
     if not any(sample.wavers for sample in golden.samples.values()):
         varies = all(golden.provenance_of(c).get("deterministic") == "no" for c in categories)
         beside = Spread(answers_of(golden, new, [])) if golden.seeds > 1 and varies else None
@@ -100,8 +113,41 @@ def _notes(golden: RunTable, new: RunTable, category: str) -> list[str]:
     # a commit changes often, and the digest of the code tells whether that means anything
     then = golden.provenance_of(category)
     told = {key: fact for key, fact in then.items() if key != "revision"}
-    now = {key: fact for key, fact in new.provenance_of(category).items() if key in told}
+    declared = {"deterministic", "tolerance"}  # which are recorded if they are not the usual ones
+    now = {
+        key: fact
+        for key, fact in new.provenance_of(category).items()
+        if key in told or key in declared
+    }
     return [f"note: {line}" for line in differences(told, now)]
+
+
+def _seed_by_seed(
+    golden: RunTable,
+    new: RunTable,
+    columns: Sequence[SharedColumn],
+    alarm: float,
+    notes: Mapping[str, Sequence[str]],
+) -> list[Verdict]:
+    """The verdicts where a seed must give what it gave, one per category: the worst of any seed."""
+    verdicts: dict[str, list[tuple[int, Verdict]]] = {category: [] for category in notes}
+    count = min(golden.seeds, new.seeds)
+    for seed in range(count):
+        then, now = golden.of_seed(seed), new.of_seed(seed)
+        exact = Exact(then, now, columns, alarm, len(notes), None)
+        for category, told in notes.items():
+            verdict = exact.verdict(Pairing.of(then, now, category), told)
+            verdicts[category].append((seed, verdict))
+    first = int(new.identity.get("seed", "0"))
+    worst = []
+    for found in verdicts.values():
+        seed, verdict = min(found, key=lambda each: SEVERITY.index(each[1].word))
+        if count > 1 and verdict.word is not Word.NOT_CHECKED:
+            under = f"each of {count} seeds: " if verdict.word is Word.MATCHES else ""
+            head = f"under {under or f'seed {first + seed}: '}"
+            verdict = replace(verdict, details=head + verdict.details)
+        worst.append(verdict)
+    return worst
 
 
 def _other_columns(golden: RunTable, new: RunTable) -> list[Verdict]:
@@ -148,7 +194,7 @@ def _other_columns(golden: RunTable, new: RunTable) -> list[Verdict]:
     if lacking := [name for name in then if name not in here]:
         told = (
             f"the golden table has columns of {', '.join(lacking)}, which this run was not judged"
-            f" under: pass {' '.join(f'--cpas-protocol {n}' for n in [*here, *lacking])}"
+            f" under: pass {asked_for([*here, *lacking])}"
         )
         verdicts.append(Verdict(Word.NOT_CHECKED, COMPLETENESS, told))
     if added := [name for name in here if name not in then]:

@@ -23,8 +23,21 @@ import numpy as np
 from pytest_cpas.facts import fact
 from pytest_cpas.golden.pairing import Pairing, SharedColumn
 from pytest_cpas.golden.tables import RunTable, differences
+from pytest_cpas.types.declarations import TOLERANCE
 
-__all__ = ["Drift", "drifts", "may_not_move"]
+__all__ = ["Drift", "drifts", "may_not_move", "other_platform"]
+
+#: Distributions that compute nothing: another version of one is no other platform.
+_NO_NUMBERS = {
+    "absl-py", "attrs", "certifi", "charset-normalizer", "click", "colorama", "cycler", "execnet",
+    "filelock", "fonttools", "fsspec", "h5py", "hydra-core", "idna", "imageio",
+    "importlib-metadata", "iniconfig", "jinja2", "jsonschema", "kiwisolver", "libusb-package",
+    "loguru", "markdown", "markupsafe", "matplotlib", "omegaconf", "packaging", "pip",
+    "platformdirs", "pluggy", "protobuf", "psutil", "pygments", "pyparsing", "pytest",
+    "python-dateutil", "pyyaml", "requests", "rich", "setuptools", "six", "tensorboard",
+    "termcolor", "threadpoolctl", "tomli", "tqdm", "typing-extensions", "urllib3", "wandb",
+    "wheel", "yacs", "zipp",
+}  # fmt: skip
 
 #: What of a table's provenance says nothing about the machine that it was made on.
 _NOT_PLATFORM = (
@@ -34,6 +47,7 @@ _NOT_PLATFORM = (
     "plugins",
     "revision",
     "deterministic",
+    "tolerance",
     "weights_folder",
 )
 
@@ -84,10 +98,12 @@ def drifts(
     columns: Sequence[SharedColumn],
     names: Sequence[str],
     scenes: Mapping[str, str],
+    tolerance: float = TOLERANCE,
 ) -> Iterator[Drift]:
     """The facts of those ``names`` that moved in samples of which nothing flipped.
 
-    ``columns``: those of both tables; ``scenes`` by sample, as far as they are known.
+    ``columns``: those of both tables; ``scenes`` by sample, as far as they are known;
+    ``tolerance``: the one that the method declares.
     """
     still = [
         sample
@@ -106,7 +122,7 @@ def drifts(
             if old is None or new is None or not (math.isfinite(old) and math.isfinite(new)):
                 continue
             judged += 1
-            if made.is_close(old, new):
+            if made.is_close(old, new, tolerance):
                 continue
             moved.append((sample, old, new))
             sign = 1 if bool(new > old) == (made.better == "lower") else -1
@@ -129,13 +145,34 @@ def _tail(nets: Sequence[int]) -> float:
     return float(ways[total + sum(nets) :].sum())
 
 
-def may_not_move(golden: RunTable, new: RunTable, category: str) -> bool:
-    """Whether facts must be the same: a deterministic method, on a machine like that on which the
-    category was recorded, as far as is told."""
-    both = [table.provenance_of(category) for table in (golden, new)]
+def other_platform(golden: RunTable, new: RunTable, category: str) -> list[str]:
+    """What differs, in words, between the machines of a run and of a category's recording; empty
+    where nothing does that computes, as far as is told."""
     then, now = (
-        {key: told for key, told in provenance.items() if key not in _NOT_PLATFORM}
-        for provenance in both
+        {
+            key: _computing(told) if key == "packages" else told
+            for key, told in table.provenance_of(category).items()
+            if key not in _NOT_PLATFORM
+        }
+        for table in (golden, new)
     )
-    deterministic = all(provenance.get("deterministic") != "no" for provenance in both)
-    return deterministic and not differences(then, now)
+    return differences(then, now)
+
+
+def _computing(packages: str) -> str:
+    """Of "NAME VERSION, ..." those that compute; of Python the language alone."""
+    kept = []
+    for each in packages.split(", "):
+        name, _, version = each.partition(" ")
+        if name == "python":
+            version = ".".join(version.split(".")[:2])
+        if name.lower().replace("_", "-") not in _NO_NUMBERS:
+            kept.append(f"{name} {version}")
+    return ", ".join(kept)
+
+
+def may_not_move(golden: RunTable, new: RunTable, category: str) -> bool:
+    """Whether facts must be the same: those of a method that was recorded as a deterministic one,
+    on a machine like that of the recording."""
+    recorded = golden.provenance_of(category).get("deterministic")
+    return recorded != "no" and not other_platform(golden, new, category)

@@ -12,18 +12,24 @@ from dataclasses import dataclass, replace
 from scipy.special import bdtr
 
 from pytest_cpas.facts import SAME
-from pytest_cpas.golden.drift import Drift, drifts, may_not_move
+from pytest_cpas.golden.drift import Drift, drifts, may_not_move, other_platform
 from pytest_cpas.golden.jitter import drift_words
 from pytest_cpas.golden.noise import at_least
 from pytest_cpas.golden.pairing import Flips, Pairing, SharedColumn, first_few, shared_facts
 from pytest_cpas.golden.rankings import ranking_changes
-from pytest_cpas.golden.spread import Spread
+from pytest_cpas.golden.spread import DOUBT, Spread
 from pytest_cpas.golden.tables import RunTable, TableSample
 from pytest_cpas.golden.words import Word
 from pytest_cpas.protocols import RankingColumn
+from pytest_cpas.reading.words import decimal
 from pytest_cpas.types import Verdict
+from pytest_cpas.types.declarations import TOLERANCE
+from pytest_cpas.types.samples import ALL
 
-__all__ = ["Exact", "detectable_flips", "to_record"]
+__all__ = ["ELSEWHERE", "Exact", "detectable_flips", "to_record"]
+
+#: How a line begins that says that a match was not made where the table was recorded.
+ELSEWHERE = "another platform than that of the recording"
 
 #: With this probability a part of the samples shows a change of the size that it states.
 CONFIDENCE = 0.95
@@ -78,13 +84,13 @@ class Exact:
                 f"the {self.new.seeds} seeds of this run disagree in {len(wavering)} samples, first"
                 f" {wavering[0]}; the golden table has {self.golden.seeds}, without disagreement"
             )
-        moved = list(drifts(pairing, self.columns, self._facts, self.new.scenes))
+        moved = self._moved(pairing)
         drift = [f"note: {self._told(each)}" for each in moved]
         if not lines:
             return (
                 self._drifted(pairing, moved, notes)
                 or self._borderline(pairing, ties, [*drift, *notes])
-                or _unchanged(pairing, drift)
+                or _unchanged(pairing, [*drift, *self._elsewhere(pairing)])
             )
         gains = [flips.net for flips, _ in changes] + [change.gain for change in rankings]
         if gains and min(gains) < 0:
@@ -94,8 +100,35 @@ class Exact:
             and not any(flips.lost or flips.not_applicable for flips, _ in changes)
             and all(change.gain > 0 for change in rankings)
         )
-        word = Word.IMPROVED if only_gains else Word.CHANGED
-        return to_record(word, pairing, [*lines, *drift], notes)
+        fell = [each for each in moved if each.worse < DOUBT / len(self._facts)]
+        if only_gains and not fell:
+            return to_record(Word.IMPROVED, pairing, [*lines, *drift], notes)
+        if only_gains:  # what was gained is not all that moved
+            head = f"facts got worse in more samples than better: {first_few(fell, Drift.summary)}"
+            lines = [head, *(f"    {self._told(each)}" for each in fell), *lines]
+            drift = [line for each, line in zip(moved, drift, strict=True) if each not in fell]
+            if any(each.worse < self.level / len(self._facts) for each in fell):
+                return Verdict(
+                    Word.REGRESSED, pairing.category, "\n  ".join([*lines, *drift, *notes])
+                )
+        return to_record(Word.CHANGED, pairing, [*lines, *drift], notes)
+
+    def _moved(self, pairing: Pairing) -> list[Drift]:
+        """The facts that moved in samples of which nothing flipped."""
+        recorded = self.golden.provenance_of(pairing.category).get("tolerance", "")
+        tolerance = decimal(recorded) or TOLERANCE
+        return list(drifts(pairing, self.columns, self._facts, self.new.scenes, tolerance))
+
+    def _elsewhere(self, pairing: Pairing) -> list[str]:
+        """What a match on another platform does not say."""
+        changes = other_platform(self.golden, self.new, pairing.category)
+        if not changes or pairing.category == ALL:
+            return []
+        scenes = {self.new.scenes.get(name, name) for name in pairing.both}
+        line = f"{ELSEWHERE} ({'; '.join(changes)}): moves of facts are judged by their signs"
+        if 0.5 ** len(scenes) >= self.level / len(self._facts):
+            line += f", and {len(scenes)} scenes are too few to tell one from chance"
+        return [line]
 
     def _borderline(
         self,
@@ -142,8 +175,7 @@ class Exact:
 
     def drifted(self, pairing: Pairing, notes: Sequence[str]) -> Verdict | None:
         """The verdict on the facts of all samples together; None if they may have moved so."""
-        moved = list(drifts(pairing, self.columns, self._facts, self.new.scenes))
-        return self._drifted(pairing, moved, notes)
+        return self._drifted(pairing, self._moved(pairing), notes)
 
     def _told(self, drift: Drift) -> str:
         """How a fact moved, and the columns that are made of it."""
@@ -171,7 +203,8 @@ class Exact:
         if may_not_move(self.golden, self.new, pairing.category):
             head = (
                 "nothing flipped, but on the platform of the recording facts moved by more than"
-                f" {SAME:g} of themselves: {first_few(moved, Drift.summary)}"
+                f" {SAME:g} of themselves and than the method's tolerance:"
+                f" {first_few(moved, Drift.summary)}"
             )
             lines = [head, *(f"    {self._told(each)}" for each in moved)]
             return to_record(Word.CHANGED, pairing, lines, notes)
@@ -185,8 +218,11 @@ class Exact:
                 f"    {self._told(each)}; {direction} in so many with p = {p:.1g}"
                 for each, p in found
             ]
+        than = "another platform moves"
+        if self.golden.provenance_of(pairing.category).get("deterministic") == "no":
+            than = "chance moves"
         head = (
-            "nothing flipped, but facts moved one way in more samples than another platform moves:"
+            f"nothing flipped, but facts moved one way in more samples than {than}:"
             f" {first_few(names)}"
         )
         lines = [head, *told[Word.REGRESSED], *told[Word.IMPROVED]]

@@ -24,7 +24,7 @@ from pytest_cpas.golden.points import (
     kept_texts,
     parse_kept,
 )
-from pytest_cpas.golden.tables import GoldenError, RunTable
+from pytest_cpas.golden.tables import GoldenError, NewerError, RunTable
 from pytest_cpas.golden.texts import RUN
 from pytest_cpas.golden.waiting import LARGEST, digest_of, finish, is_of_table, put, waiting
 from pytest_cpas.reading.files import NoFileError, decoded, read_bytes
@@ -344,6 +344,8 @@ def _read_told(folder: Path) -> Kept:
     """Read what nobody writes; :class:`GoldenError` says what to do if it is damaged."""
     try:
         return _read(folder)
+    except NewerError as error:
+        raise GoldenError(f"{folder}: {error}") from error
     except (OSError, DataError, GoldenError) as error:
         raise GoldenError(
             f"{folder}: {error}; it was damaged or edited by hand. Restore it from version"

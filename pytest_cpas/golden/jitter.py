@@ -137,9 +137,12 @@ def recorded_words(table: RunTable, alarm: float) -> Iterator[str]:
         seeds=1,
     )
     answers = answers_of(table, first, shared_columns(table, first))
+    deterministic = table.provenance.get("deterministic") != "no"
+    if deterministic:
+        yield "on this platform these seeds must give what they gave: the method is deterministic"
     yield (
-        "how many a later run of one seed must lose to be REGRESSED (PROBABLY WORSE), of as many as"
-        " the best of these seeds gets right:"
+        f"{'elsewhere, ' if deterministic else ''}how many a later run of one seed must lose to be"
+        " REGRESSED (PROBABLY WORSE), of as many as the best of these seeds gets right:"
     )
     for times in (1, *_MORE):
         seeds = times * table.seeds

@@ -20,7 +20,7 @@ from typing import Any
 from pytest_cpas.evaluation import Answer
 from pytest_cpas.facts import Fact, fact
 from pytest_cpas.golden.noise import FactNoise, Noise
-from pytest_cpas.golden.tables import GoldenError, RunTable, table_samples
+from pytest_cpas.golden.tables import GoldenError, NewerError, RunTable, table_samples
 from pytest_cpas.golden.texts import (
     DETECTION,
     DETECTIONS,
@@ -70,10 +70,14 @@ def parse_table(method: str, dataset: str, texts: Mapping[str, str]) -> RunTable
 def run_content(text: str) -> dict[str, Any]:
     """What ``run.toml`` holds, of a format that is read; raises :class:`GoldenError`."""
     content = toml(RUN, text)
-    if content.get("format") != FORMAT:
-        raise GoldenError(
-            f"{RUN}: format is {shown(content.get('format'))}, this version reads {FORMAT}"
+    told = content.get("format")
+    if type(told) is int and told > FORMAT:
+        raise NewerError(
+            f"{RUN}: format {shown(told)} is of a newer version of pytest-cpas than this, which"
+            f" reads {FORMAT}; update it"
         )
+    if told != FORMAT:
+        raise GoldenError(f"{RUN}: format is {shown(told)}, this version reads {FORMAT}")
     return content
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,6 +22,9 @@ from pytest_cpas.types import DataError
 
 __all__ = ["golden_diff"]
 
+#: What a verdict on a run says last, or in a line of its own.
+_ADVICE = re.compile(r"(; |\n *)if (this is|these results are) right, record[^\n]*")
+
 #: Of the path of a file of a table: recorded, the method, the data set, the file.
 _PARTS = 4
 
@@ -31,6 +35,8 @@ def golden_diff(golden: Path, revision: str) -> Iterator[str]:
     The flips are those of the verdict, the table of the revision being the golden one. Raises
     :class:`GoldenError` for what is no table, no revision, or no folder under version control.
     """
+    if not golden.is_dir():
+        raise GoldenError(f"{golden}: no such folder; name that of the golden tables with --golden")
     _git(golden, "rev-parse", "--verify", "--quiet", "--end-of-options", f"{revision}^{{commit}}")
     listed = _git(golden, "ls-tree", "-r", "-z", "--name-only", revision, "--", "recorded")
     then = {
@@ -81,7 +87,8 @@ def _titled(tables: Mapping[str, RunTable]) -> dict[str, RunTable]:
 def _changed(title: str, old: RunTable, new: RunTable) -> Iterator[str]:
     verdicts = [v for v in compare(old, new) if v.word not in (Word.MATCHES, Word.OUTDATED)]
     for verdict in verdicts:
-        yield f"{title}: {verdict}"
+        # both are recorded: there is nothing to type
+        yield _ADVICE.sub("", f"{title}: {verdict}")
 
 
 def _tables_at(golden: Path, folder: Path, revision: str) -> dict[str, RunTable]:

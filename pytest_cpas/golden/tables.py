@@ -18,6 +18,7 @@ from pytest_cpas.protocols import (
     RankingColumn,
     ScoreTable,
     Table,
+    asked_for,
     count_columns,
     count_table,
     judge_outcomes,
@@ -36,6 +37,10 @@ _LONGEST_REASON = 2000
 
 class GoldenError(ToldError):
     """A golden table that cannot be read, or not be written."""
+
+
+class NewerError(GoldenError):
+    """A golden table that a newer version has written."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,6 +141,17 @@ class RunTable:
             scenes={ref.id: ref.scene for ref in run.samples},
         )
 
+    def of_seed(self, index: int) -> RunTable:
+        """What was given under one of the seeds. Rankings are of the first."""
+        samples = {
+            name: replace(
+                sample, answers=(sample.answers[index],), outcomes=(sample.outcomes[index],)
+            )
+            for name, sample in self.samples.items()
+        }
+        ranking = None if index else self.ranking
+        return replace(self, samples=samples, seeds=1, ranking=ranking)
+
     @functools.cached_property
     def columns(self) -> tuple[CountColumn, ...]:
         """Those that count samples, in the order of the outcomes' characters."""
@@ -209,7 +225,7 @@ class RunTable:
         if lacking := [p.name for p in previous.protocols if p.name not in names]:
             raise GoldenError(
                 f"the golden table guards the columns of {', '.join(lacking)} as well: pass"
-                f" {' '.join(f'--cpas-protocol {name}' for name in [*names, *lacking])}, or remove"
+                f" {asked_for([*names, *lacking])}, or remove"
                 " the table first"
             )
         kept = {

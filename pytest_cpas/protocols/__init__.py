@@ -8,7 +8,13 @@ from pytest_cpas.protocols.columns import (
     RankingColumn,
     ScoreColumn,
 )
-from pytest_cpas.protocols.files import PAPER, read_protocol, shipped_protocol, shipped_protocols
+from pytest_cpas.protocols.files import (
+    PAPER,
+    asked_for,
+    read_protocol,
+    shipped_protocol,
+    shipped_protocols,
+)
 from pytest_cpas.protocols.intervals import (
     Intervals,
     IntervalTable,
@@ -44,6 +50,7 @@ __all__ = [
     "ScoreColumn",
     "ScoreTable",
     "Table",
+    "asked_for",
     "count_columns",
     "count_intervals",
     "count_table",

@@ -235,7 +235,7 @@ class _Parser:
             or len(value) > 200
             or (key != "source" and not value.strip())
         ):
-            raise self.fail(f"{key} is {shown(value)}, expected a line of text")
+            raise self.fail(f"{key} is {shown(value)}, expected a line of text, at most 200 long")
         return value
 
     def known(self, section: Mapping[str, object], keys: Sequence[str], what: str) -> None:

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from pathlib import Path
 
 from pytest_cpas.protocols.columns import Protocol, ProtocolError
 from pytest_cpas.reading.structured import read_toml
 from pytest_cpas.types import DataError
 
-__all__ = ["PAPER", "read_protocol", "shipped_protocol", "shipped_protocols"]
+__all__ = ["PAPER", "asked_for", "read_protocol", "shipped_protocol", "shipped_protocols"]
 
 #: The protocol of the paper, which is the default.
 PAPER = "cpas"
 
 _SHIPPED = Path(__file__).parent / "shipped"
+
+
+def asked_for(names: Iterable[str]) -> str:
+    """The options that ask for protocols of those names, in words."""
+    names = list(names)
+    options = " ".join(f"--cpas-protocol {name}" for name in names)
+    if own := [name for name in names if name not in shipped_protocols()]:
+        return f"{options} (of {', '.join(own)} the .toml file, if that is where it is)"
+    return options
 
 
 def shipped_protocols() -> list[str]:

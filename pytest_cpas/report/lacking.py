@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from pytest_cpas.facts import Fact
 from pytest_cpas.golden import RunTable
-from pytest_cpas.protocols import Column, count_columns, score_columns
+from pytest_cpas.protocols import Column, asked_for, count_columns, score_columns
 
 __all__ = ["lacking"]
 
@@ -44,7 +44,7 @@ def lacking(table: RunTable) -> list[str]:
 def _reason(table: RunTable, made: Fact, column: Column) -> str:
     """Why a fact that a column needs is known of no sample."""
     if made.name not in table.definitions:
-        return ", which these rows do not have: run again with --cpas-protocol " + column.protocol
+        return ", which these rows do not have: run again with " + asked_for([column.protocol])
     who = "the method, or the data set," if made.needs else "the data set"
     parts = " and no ".join(sorted(made.needs | made.knows)) or "pose"
     return f": {who} has no {parts}"

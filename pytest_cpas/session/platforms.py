@@ -74,6 +74,14 @@ def measured_runs(arguments: Sequence[str], folder: Path) -> Iterator[tuple[str,
         yield words, files
 
 
+def check_golden(golden: Path) -> None:
+    """Raise :class:`GoldenError` if there is no table that noise could be kept with."""
+    if not any(golden.glob("recorded/*/*")):
+        raise GoldenError(
+            f"{golden}: no golden tables there; record one first, or name the folder with --golden"
+        )
+
+
 def learn_noise(golden: Path, runs: Mapping[str, Sequence[Path]]) -> list[str]:
     """Compare results files, by platform in words, with the golden tables below ``golden``, and
     keep in each table how far facts moved; lines on that.

@@ -40,6 +40,10 @@ class Asset:
 EQUIVARIANCES = ("shift", "resolution", "distance", "mirror", "roll")
 
 
+#: The tolerance of a method that declares none, metres and radians.
+TOLERANCE = 1e-5
+
+
 @dataclass(frozen=True, kw_only=True)
 class MethodInfo:
     """What a method declares about itself; the checks that are demanded of it follow from it.
@@ -61,7 +65,7 @@ class MethodInfo:
     camera_frame: Literal["opencv", "opengl"] = "opencv"
     deterministic: bool = True
     assets: tuple[Asset, ...] = ()
-    tolerance: float = 1e-5
+    tolerance: float = TOLERANCE
     equivariances: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:

@@ -18,6 +18,8 @@ def table(protocol: str, failed=(), seeds=((),), **facts: float) -> RunTable:
     """Right answers but for those of samples that ``failed``; ``seeds``: who failed, per seed."""
     run = Fixed("m", "d", REFS, identity={"data": "x"}, protocols=[shipped_protocol(protocol)])
     run.seeds = len(seeds)
+    if run.seeds > 1:
+        run.provenance = {"deterministic": "no"}
     right = {name: 0.001 if fact(name).better == "lower" else 0.999 for name in run.facts} | facts
     wrong = {name: fact(name).failed for name in run.facts}
     return RunTable.of(

@@ -14,7 +14,7 @@ from pytest_cpas.documents import (
     SpeedDocument,
     VerdictDocument,
 )
-from pytest_cpas.golden import Word
+from pytest_cpas.golden import ELSEWHERE, Word
 from pytest_cpas.golden.literature import LEGACY
 from pytest_cpas.reading.text import WIDTH, folded
 from pytest_cpas.report.intervals import interval_note
@@ -32,6 +32,7 @@ from pytest_cpas.report.messages import (
 )
 from pytest_cpas.report.terminal._cells import guard_tables, main_tables
 from pytest_cpas.report.terminal._table import FEW, Terminal
+from pytest_cpas.types.samples import COMPLETENESS
 
 #: Lines of the literature that stand beside a run, those nearest to it.
 _NEAREST = 5
@@ -66,7 +67,8 @@ def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
     for word, group in by_word.items():
         outcome = group[0]["outcome"]
         colour = {"red": outcome == "failed", "green": outcome == "passed"}
-        if len(group) == 1 or outcome == "failed" or word in _TOLD:
+        each = len(group) == 1 or any(verdict["category"] == COMPLETENESS for verdict in group)
+        if each or outcome == "failed" or word in _TOLD:
             for verdict in group:
                 # the rest of what failed stands among the failures
                 first, *rest = verdict_message(verdict).splitlines()
@@ -81,6 +83,10 @@ def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
         else:
             names = ", ".join(verdict["category"] for verdict in group)
             terminal.write_line(f"golden: {word} ({names})", **colour)
+        details = [line.strip() for verdict in group for line in verdict["details"].splitlines()]
+        if word == Word.MATCHES:
+            for line in dict.fromkeys(line for line in details if line.startswith(ELSEWHERE)):
+                _wrapped(terminal, f"  {line}")
     for finding in run["findings"]:
         for line in finding["lines"]:
             terminal.write_line(line, yellow=True)
