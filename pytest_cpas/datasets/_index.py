@@ -33,6 +33,9 @@ _ROOMS = ("datasets", "reading")
 #: Largest annotation or mesh, bytes.
 _LARGEST = 2**30
 
+#: Largest annotation, bytes: that of one frame, or of a scene.
+_LARGEST_TEXT = 2**26
+
 #: Seconds. A tree changed so recently may change again without its times telling.
 SETTLED = 2.0
 
@@ -83,17 +86,17 @@ class Scan:
         folder, _, name = path.rpartition("/")
         return name in self.names(folder)
 
-    def read(self, path: str) -> bytes:
-        """A file's bytes, which become part of the digest."""
+    def read(self, path: str, most: int = _LARGEST_TEXT) -> bytes:
+        """A file's bytes, at most so many, which become part of the digest."""
         self.see(path)
-        content = read_bytes(self.root / path, _LARGEST)
+        content = read_bytes(self.root / path, most)
         self._digest.update(content)
         return content
 
     def hash(self, path: str) -> None:
         """Make a file part of the digest; if it cannot be read, loading a sample will say so."""
         with suppress(ContractError):
-            self.read(path)
+            self.read(path, _LARGEST)
 
     def read_json(self, path: str) -> dict[str, Any]:
         """A JSON file that holds an object."""

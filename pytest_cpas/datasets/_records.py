@@ -117,7 +117,8 @@ class RecordTree(Tree):
             return super().box_of(ref)
         width, height, *intrinsics = record.camera
         camera = Camera(int(width), int(height), *intrinsics)
-        return mask_box(self._listed_mask(record, record.mask, camera))
+        mask = self._listed_mask(record, record.mask, camera)
+        return mask_box(mask) if mask.any() else None
 
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
         return symmetry_of(ref.category)

@@ -112,7 +112,7 @@ class Bop(RecordTree):
             keys = ("scene_id", "im_id", "obj_id")
             found = {tuple(_number(target[key], key) for key in keys) for target in listed}
             return {(scene, image, number) for scene, image, number in found}
-        except (TypeError, KeyError) as error:
+        except (TypeError, KeyError, ContractError) as error:
             raise DataError(
                 f"{self.root / file}: expected a list of scene_id, im_id and obj_id ({error!r})"
             ) from error

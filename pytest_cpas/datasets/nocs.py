@@ -24,6 +24,7 @@ ground truth must have ``gt_class_ids`` and ``gt_scales`` (n, 3), relative to th
 from __future__ import annotations
 
 import functools
+import os
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -219,14 +220,17 @@ class NocsTree(Tree):
             count = len(self._read_poses(path)[0])
         except ContractError:
             return listed  # which every sample of the frame will say
-        if count == len(listed):
-            return listed
         mask = f"{self.frames}/{frame}_mask.png"
         seen = f"{path}: {count} poses, but the meta file lists {len(listed)} objects"
         if not scan.has(mask):
+            if count == len(listed):
+                return listed
             raise DataError(f"{seen}, and there is no mask that says which are seen")
-        scan.weigh(mask)
-        ids = np.unique(read_ids(self.root / mask, self.camera)).tolist()
+        scan.see(mask)
+        try:
+            ids = np.unique(read_ids(self.root / mask, self.camera)).tolist()
+        except ContractError:
+            return listed  # which every sample of the frame will say
         posed = [item for item in listed if item.mask_id in ids]
         if count != len(posed):
             raise DataError(
@@ -239,6 +243,8 @@ class NocsTree(Tree):
         # a model's name becomes part of a path
         model = r" ((?!\.)[^\s/\\]+)" * (len(self.meta.split()) - 2)
         form = re.compile(r"([0-9]{1,9}) ([0-9]{1,9})" + model)
+        if not text.strip():
+            raise DataError(f"{frame}_meta.txt: it is empty, expected {self.meta!r} in each line")
         entries = []
         for line in filter(str.strip, text.split("\n")):
             match = form.fullmatch(" ".join(line.split()))
@@ -371,7 +377,8 @@ class NocsTree(Tree):
         """The 2-D box of what is seen of an object: that of its mask, or of the ground truth."""
         item, frame = Listed(*self._details[ref.id]), self.image_of(ref)
         if ref.id not in self.absent:
-            return mask_box(self._ids(frame) == item.mask_id)
+            mask = self._ids(frame) == item.mask_id
+            return mask_box(mask) if mask.any() else None
         path = self.root / _truth_path(frame)
         boxes = load_numpy_pickle(path).get("gt_bboxes")
         if boxes is None:
@@ -407,7 +414,7 @@ class NocsTree(Tree):
         """A model's mesh, if there is one, and its extents, metres."""
         for form in self.meshes:
             path = self.root / form.format(model=model)
-            if path.exists():
+            if os.path.lexists(path):  # also of a link to nothing, which reading will name
                 mesh = read_mesh(path, NOCS_FROM_SHAPENET.T)
                 low, high = mesh.bounds
                 return mesh, high - low

@@ -46,6 +46,12 @@ CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
 
 _SYMMETRIES = {"ball": Symmetry.full(), "cup": symmetry_of("bottle")}
 
+#: Bytes of a model; reading it takes some 30 times as many of memory.
+_LARGEST_MODEL = 2**25
+
+#: Farthest that a keypoint may be from where the posed model has it, metres.
+_FITS = 0.01
+
 #: Bytes of a ``.pbtxt``; one has a few thousand.
 _LARGEST_TARGET = 2**20
 
@@ -82,7 +88,7 @@ class Tod(RecordTree):
                         f"{self.root / 'data' / name}: expected an object of"
                         f" {', '.join(CATEGORIES)}, such as bottle_0"
                     )
-                scan.read(file)
+                scan.read(file, _LARGEST_MODEL)
                 model = read_model(self.root / file)
             except ContractError as error:
                 scan.damaged.append(str(error))
@@ -121,6 +127,14 @@ class Tod(RecordTree):
                 scan.damaged.append(str(error))
                 continue
             rotation, translation = rigid(model.keypoints, keypoints)
+            apart = np.linalg.norm(model.keypoints @ rotation.T + translation - keypoints, axis=1)
+            if apart.max() > _FITS:
+                scan.damaged.append(
+                    f"{self.root / target}: keypoint {apart.argmax()} is"
+                    f" {1000 * apart.max():.0f} mm from where the model has it, at most"
+                    f" {1000 * _FITS:g} mm are taken"
+                )
+                continue
             record = Record(
                 rgb=files[0],
                 depth=files[1],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,9 +25,15 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array:
                 array = np.array([_number(leaf) for leaf in leaves.ravel()], dtype=float)
     except (TypeError, ValueError, OverflowError, RecursionError):
         array = np.array([np.nan])
+    if array.ndim > 1 and _sides(array.shape) != _sides(shape):
+        raise DataError(f"{what}: shape {array.shape}, expected {shape}")
     if array.size != math.prod(shape) or not (np.abs(array) <= LARGEST).all():
         raise DataError(f"{what}: {shown(value)}, expected {math.prod(shape)} finite numbers")
     return array.reshape(shape)
+
+
+def _sides(shape: Sequence[int]) -> list[int]:
+    return [side for side in shape if side != 1]
 
 
 def _number(leaf: object) -> float:

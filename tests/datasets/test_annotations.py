@@ -20,6 +20,7 @@ from pytest_cpas.datasets.phocal import PhoCaL
 from pytest_cpas.datasets.redwood import Redwood75
 from pytest_cpas.datasets.tod import read_target
 from pytest_cpas.datasets.wild6d import Wild6D
+from pytest_cpas.reading.numbers import numbers
 from pytest_cpas.types import ContractError, DataError
 
 EYE = np.eye(3).ravel().tolist()
@@ -248,11 +249,14 @@ def harmless(name: str, place: tuple, wrong: object) -> bool:
     return wrong == "x" and names
 
 
-@pytest.mark.parametrize("poses", [0, 3])  # the mask shows one of the two
+@pytest.mark.parametrize("poses", [0, 1, 3])
 def test_real275_has_a_pose_for_each_object(poses, tmp_path):
     frame = tmp_path / "real_test" / "scene_1"
     for kind, mode in (("color", "RGB"), ("depth", "I;16"), ("mask", "L")):
         image(frame / f"0000_{kind}.png", mode, (640, 480))
+    mask = np.ones((480, 640), np.uint8)
+    mask[:240] = 3
+    Image.fromarray(mask).save(frame / "0000_mask.png")
     (frame / "0000_meta.txt").write_text("1 1 m\n2 0 box\n3 6 m\n")
     (tmp_path / "gts/real_test").mkdir(parents=True)
     matrices = np.tile(np.diag([0.2, 0.2, 0.2, 1.0]), (poses, 1, 1))
@@ -331,3 +335,13 @@ def test_last_rows():
 def test_targets_of_tod(text, words):
     with pytest.raises(DataError, match=rf"^x: {words}"):
         read_target(text, "x")
+
+
+@pytest.mark.parametrize("shape", [(3, 2), (2, 1, 3), (2, 3, 1), (6,)])
+def test_arrays_that_lie_on_their_side_are_refused(shape):
+    array = np.arange(6.0).reshape(shape)
+    if shape == (3, 2):
+        with pytest.raises(DataError, match=r"t: shape \(3, 2\), expected \(2, 3\)"):
+            numbers(array, (2, 3), "t")
+    else:
+        assert numbers(array, (2, 3), "t").tolist() == [[0, 1, 2], [3, 4, 5]]

@@ -143,7 +143,6 @@ MIRROR = np.diag([1.0, 1, -1, 1])[None].repeat(2, 0)
         (f"{SCENE}_depth.png", save(np.ones((480, 640), np.uint8)), "mode is L, expected I;16"),
         (f"{SCENE}_depth.png", save(np.ones((240, 320), np.uint16)), "320 x 240 pixels"),
         (f"{SCENE}_mask.png", save(np.ones((240, 320), np.uint8)), "320 x 240 pixels"),
-        (f"{SCENE}_mask.png", save(np.full((480, 640), 255, np.uint8)), "mask: empty"),
         (f"{SCENE}_mask.png", save(np.ones((480, 640), np.uint16)), "expected 1 or L"),
         (TRUTH, truncate, "not a readable pickle"),
         (TRUTH, dump([]), "holds a list"),
@@ -294,3 +293,33 @@ def test_real_frame(test_data):
         median = np.median(cKDTree(posed).query(seen)[0])
         # the can's label reflects the infrared pattern
         assert median < (0.015 if ref.category == "can" else 0.006), ref
+
+
+@pytest.mark.parametrize("number", [0, 3, 6])
+def test_an_id_that_the_mask_lacks_swaps_no_poses(tree, number):
+    """The meta file calls the mug 0, 3 or 6, and the mask 5."""
+    (tree / f"{SCENE}_meta.txt").write_text(f"{number} 6 mug_a\n2 0 thing\n1 2 bowl_b\n")
+    [line] = Real275(tree).damaged
+    assert "2 poses, but the meta file lists 2 objects, of which 1 have pixels" in line
+
+
+def test_an_object_that_lost_its_pixels_has_no_box(tree):
+    data = Real275(tree)
+    erased(tree, 5)  # since the index was made
+    assert data.box_of(data.samples[1]) is None
+
+
+@pytest.mark.parametrize("text", ["", "\n \n"])
+def test_an_empty_meta_file_is_damage(tree, text):
+    (tree / f"{SCENE}_meta.txt").write_text(text)
+    data = Real275(tree)
+    assert len(data.samples) == 2
+    assert any("scene_1/0000_meta.txt: it is empty" in line for line in data.damaged)
+
+
+def test_a_link_to_nothing_is_no_missing_mesh(tree):
+    (tree / MESH).unlink()
+    (tree / MESH).symlink_to("nowhere.obj")
+    data = Real275(tree)
+    with pytest.raises(ContractError, match=r"mug_a\.obj"):
+        data.load(data.samples[1])

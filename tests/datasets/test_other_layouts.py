@@ -245,6 +245,20 @@ def test_tod(tmp_path: Path) -> None:
         check(dataclasses.replace(sample, truth=truth), made, 0, mesh=False, distance=1e-4)
 
 
+@pytest.mark.parametrize("key", ["z", "u"])
+def test_keypoints_that_fit_no_model_are_damage(tmp_path: Path, key: str) -> None:
+    write_tod(tmp_path)
+    target = min(tmp_path.glob("data/mug*/*/*_L.pbtxt"))
+    head, mark, rest = target.read_text().partition(f" {key}: ")
+    number, end, rest = rest.partition("\n")
+    value = 1.1 * float(number) if key == "z" else float(number) + 60
+    target.write_text(f"{head}{mark}{value}{end}{rest}")
+    data = Tod(tmp_path)
+    [line] = data.damaged
+    assert target.name in line
+    assert "mm from where the model has it, at most 10 mm are taken" in line
+
+
 def test_tod_camera_and_keypoints_of_a_published_target() -> None:
     """bottle_0/texture_5_pose_0/000001_L.pbtxt: keypoints as far apart as in bottle_0.obj."""
     text = """kp_target { camera { fx: 675.61713 fy: 675.61713 cx: 632.1181 cy: 338.28537

@@ -30,7 +30,9 @@ def repository(tmp_path):
 def test_no_difference(repository, capsys, monkeypatch):
     monkeypatch.chdir(repository)
     assert main(["golden", "diff"]) == 0
-    assert capsys.readouterr().out == ""
+    assert capsys.readouterr().out == "golden: no table differs from HEAD\n"
+    assert main(["golden", "diff", "--golden=nowhere"]) == 2
+    assert "nowhere: no such folder" in capsys.readouterr().err
 
 
 def test_flips_are_named(repository, capsys, monkeypatch):
