@@ -69,7 +69,7 @@ def _lines(document: Document) -> Iterator[str]:
             [
                 _text(f"{run['method']} on {run['dataset']}"),
                 f"**{outcome_message(run['outcome'])}**",
-                judged_message(run),
+                _text(judged_message(run)),
                 _text(verdicts_message(run)),
             ]
             for run in document["runs"]

@@ -30,7 +30,7 @@ FREE = {
     *("method", "dataset", "category", "sample", "other", "name", "check", "message", "details"),
     *("failure", "error", "before", "after", "lines", "missing", "problems", "differences"),
     *("unpaired", "cpu", "device", "system", "python", "versions", "threads", "categories"),
-    *("identity", "provenance", "machine", "lacking", "scene"),
+    *("identity", "provenance", "machine", "lacking", "scene", "notes"),
 }
 
 #: Mappings whose keys are names: their texts are all of one kind.
@@ -81,9 +81,9 @@ def hostile(content: dict, text: str) -> tuple[dict, set[str]]:
         if isinstance(value, dict):
             return {
                 # what stands for all categories, and parts of ours, stay
-                (text + k if key in ("categories", "versions", "threads") else k): renamed(
-                    v, key if key in KEYED else k
-                )
+                (
+                    text + k if key in ("categories", "failures", "versions", "threads") else k
+                ): renamed(v, key if key in KEYED else k)
                 for k, v in value.items()
             }
         if isinstance(value, list):
@@ -125,6 +125,8 @@ def test_document_of_hostile_text(text):
     plain, _ = hostile(a_document(), "x")
     content, seen = hostile(a_document(), text)
     assert seen >= {"method", "sample", "failure", "error", "missing", "details", "lines", "cpu"}
+    assert seen >= {"notes"}
+    assert text in next(iter(content["runs"][0]["failures"]))
     harmless_markdown(markdown(content))
     harmless_csv(precision_csv(content))
     harmless_html(page(content, {}), page(plain, {}))
