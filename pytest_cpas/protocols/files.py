@@ -23,7 +23,7 @@ def asked_for(names: Iterable[str]) -> str:
     names = list(names)
     options = " ".join(f"--cpas-protocol {name}" for name in names)
     if own := [name for name in names if name not in shipped_protocols()]:
-        return f"{options} (of {', '.join(own)} the .toml file, if that is where it is)"
+        return f"{options} (or the .toml file of {', '.join(own)})"
     return options
 
 

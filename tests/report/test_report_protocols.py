@@ -212,7 +212,7 @@ def test_a_stored_run_is_judged_under_another_protocol(project, name, capsys, re
 def test_what_stored_rows_do_not_have_is_said_once(project, capsys):
     told = (
         "n/a: fine.f needs the fact fscore_5mm, which these rows do not have: run again with"
-        " --cpas-protocol fine"
+        " --cpas-protocol fine (or the .toml file of fine)"
     )
     assert main(["report", "old/report.json", "--to", "new", "--protocol", "fine"]) == 0
     assert capsys.readouterr().out.splitlines().count(told) == 1
