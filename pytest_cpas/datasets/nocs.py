@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.datasets._index import Scan
+from pytest_cpas.datasets._nocs_poses import read_poses, seen_instead
 from pytest_cpas.datasets._tree import Tree, find_root
-from pytest_cpas.datasets._values import check_last_rows
 from pytest_cpas.reading.files import read_text
 from pytest_cpas.reading.images import read_ids
 from pytest_cpas.reading.meshes import read_mesh
@@ -69,13 +69,6 @@ SYMMETRIC_CATEGORIES = frozenset({"bottle", "bowl", "can"})
 
 _FRAME_FILE = re.compile(r"(\d+)_(?:color|depth|mask|coord|meta)\.")
 _IMAGES = ("color", "depth", "mask", "coord")
-
-#: Corners of a box in units of its extents.
-_CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(8, 3)
-
-#: At least this share of an object's pixels is within the 2-D box of its posed box, which is
-#: enlarged on every side by this share of its size.
-_INSIDE, _MARGIN = 0.5, 0.2
 
 _TRUTH_FILE = re.compile(r"results_real_test_(scene_\d+)_(\d+)\.pkl")
 
@@ -117,7 +110,7 @@ class NocsTree(Tree):
         """Index the tree."""
         self.camera = camera  # making the index needs it
         super().__init__(name, root)
-        self._poses = functools.lru_cache(maxsize=64)(self._read_poses)
+        self._poses = functools.lru_cache(maxsize=64)(read_poses)
         self._mesh = functools.cache(self._read_mesh)
 
     # -- index ------------------------------------------------------------------------------
@@ -217,7 +210,7 @@ class NocsTree(Tree):
         """
         path = self.root / _truth_path(frame)
         try:
-            count = len(self._read_poses(path)[0])
+            count = len(read_poses(path)[0])
         except ContractError:
             return listed  # which every sample of the frame will say
         mask = f"{self.frames}/{frame}_mask.png"
@@ -309,28 +302,12 @@ class NocsTree(Tree):
         """Raise :class:`DataError` if the pose of another object is where this one's pixels are."""
         item, frame = Listed(*self._details[ref.id]), self.image_of(ref)
         path = self.root / _truth_path(frame)
-        if self._inside(truth.pose.matrix, truth.extents, mask) >= _INSIDE:
-            return
-        # of the other poses an upright box will do
-        for index, matrix in enumerate(self._poses(path)[0]):
-            if index != item.pose_index and self._inside(matrix, None, mask) >= _INSIDE:
-                raise DataError(
-                    f"{path}: pose {index} is where the pixels of {ref.id} are, and its own,"
-                    f" {item.pose_index}, is elsewhere; which pose is whose cannot be told"
-                )
-
-    def _inside(self, matrix: Array, extents: Array | None, mask: NDArray[np.bool_]) -> float:
-        """The share of a mask's pixels that are in the 2-D box of a posed box; of a matrix with a
-        scale, which is the diagonal, without ``extents``. 1 where nothing can be said."""
-        corners = _CORNERS * (1 / np.sqrt(3) if extents is None else extents)
-        corners = corners @ matrix[:3, :3].T + matrix[:3, 3]
-        if not mask.any() or corners[:, 2].min() <= 0:
-            return 1.0 if extents is not None else 0.0  # what is none says so itself
-        corners = self.camera.project(corners)
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        margin = _MARGIN * (high - low)
-        pixels = np.argwhere(mask)[:, ::-1]
-        return float(((pixels >= low - margin) & (pixels <= high + margin)).all(axis=1).mean())
+        other = seen_instead(self.camera, truth, self._poses(path)[0], item.pose_index, mask)
+        if other is not None:
+            raise DataError(
+                f"{path}: pose {other} is where the pixels of {ref.id} are, and its own,"
+                f" {item.pose_index}, is elsewhere; which pose is whose cannot be told"
+            )
 
     @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
@@ -388,27 +365,6 @@ class NocsTree(Tree):
             raise DataError(f"{path}: gt_bboxes has shape {boxes.shape}, expected (n, 4)")
         box: Array = boxes[item.pose_index]
         return box
-
-    def _read_poses(self, path: Path) -> tuple[Array, Array | None]:
-        """Poses (n, 4, 4), and extents (n, 3) in ShapeNet axes, metres, if they are there."""
-        truth = load_numpy_pickle(path)
-        poses, sizes = truth.get("gt_RTs"), truth.get("gt_scales")
-        if (
-            not isinstance(poses, np.ndarray)
-            or poses.shape[1:] != (4, 4)
-            or poses.dtype.kind != "f"
-            or not np.isfinite(poses).all()
-        ):
-            raise DataError(f"{path}: gt_RTs is not an array (n, 4, 4) of finite numbers")
-        check_last_rows(poses, f"{path}: gt_RTs")
-        poses = poses.astype(np.float64)
-        if sizes is None:
-            return poses, None
-        sizes = finite_array(sizes, f"{path}: gt_scales")
-        if sizes.shape != (len(poses), 3):
-            raise DataError(f"{path}: gt_scales has shape {sizes.shape}, expected (n, 3)")
-        scales = np.cbrt(np.abs(np.linalg.det(poses[:, :3, :3])))
-        return poses, scales[:, None] * sizes @ np.abs(NOCS_FROM_SHAPENET)
 
     def _read_mesh(self, model: str) -> tuple[Mesh | None, Array]:
         """A model's mesh, if there is one, and its extents, metres."""

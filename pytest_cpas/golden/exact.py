@@ -122,7 +122,7 @@ class Exact:
     def _elsewhere(self, pairing: Pairing) -> list[str]:
         """What a match on another platform does not say."""
         changes = other_platform(self.golden, self.new, pairing.category)
-        if not changes or pairing.category == ALL:
+        if not changes or pairing.category == ALL or not pairing.both or not self._facts:
             return []
         scenes = {self.new.scenes.get(name, name) for name in pairing.both}
         line = f"{ELSEWHERE} ({'; '.join(changes)}): moves of facts are judged by their signs"

@@ -76,7 +76,7 @@ def test_failed_prediction_is_not_correct(recorded):
     result.stdout.fnmatch_lines(
         [
             "      lost: scene_0/0003 (* -> failed: too few points)",
-            "12 of 12 samples judged, 1 without an answer",
+            "12 of 12 samples judged, 1 without an answer: 1 *",
             "golden: REGRESSED mug: 10 deg, 2 cm: 6 -> 5 of 6 correct",
         ]
     )
