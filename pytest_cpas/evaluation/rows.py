@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pytest_cpas.facts import Facts
+from pytest_cpas.facts import Facts, fact
 
 __all__ = ["Answer", "Answered", "Detection", "Row"]
 
@@ -75,6 +75,22 @@ class Row(Answered):
         answers = tuple(Answer(**answer) for answer in values["answers"])
         detections = tuple(Detection(**found) for found in values.get("detections", ()))
         return cls(**{**values, "answers": answers, "detections": detections})
+
+    def differences(self, kept: Row) -> str:
+        """What differs, in words, from the row that was kept of a deterministic method; empty if
+        nothing does, or by no more than a fact is judged by."""
+        for now, then in zip(self.answers, kept.answers, strict=False):
+            if now.failure != then.failure:
+                return f"failure was {then.failure}, now {now.failure}"
+            for name, value in now.facts.items():
+                before = then.facts.get(name)
+                if (value is None) is not (before is None):
+                    return f"{name} was {before}, now {value}"
+                if value is None or before is None or value == before:
+                    continue
+                if not fact(name).is_close(before, value):
+                    return f"{name} was {before:.6g}, now {value:.6g}"
+        return ""
 
     def plain(self) -> dict[str, Any]:
         """As values of JSON, but for infinite facts."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -10,6 +11,9 @@ from typing import Any
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.documents import SpeedDocument
 from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run, named
+
+#: Reused rows that are looked at, one of a category.
+_AGAIN = 12
 
 __all__ = ["CollectedRun", "ItemResult"]
 
@@ -66,6 +70,28 @@ class CollectedRun:
     def rows(self) -> Mapping[str, Row]:
         """The rows by sample, as they came."""
         return self._rows
+
+    @functools.cached_property
+    def judged_again(self) -> Mapping[str, Row]:
+        """Of a deterministic method the reused row of the first sample of each category, to be
+        compared with what the program answers now: what it depends on is never known in full."""
+        info, file = self.run.info, self._file
+        if info is None or not info.deterministic or file is None or file.another_program:
+            return {}
+        first: dict[str, Row] = {}
+        for ref in self.run.samples:
+            if ref.id in file.rows:
+                first.setdefault(ref.category, file.rows[ref.id])
+        return {row.sample: row for row in [*first.values()][:_AGAIN]}
+
+    def contradiction(self, sample: str, told: str) -> str:
+        """What to say where a reused row is not what the program answers now."""
+        where = self._file.path if self._file else ""
+        return (
+            f"{sample}: its row is reused from {where}, and is not what the method answers now"
+            f" ({told}): something changed that is not seen. Name another folder with"
+            " --cpas-results, so that all is computed again"
+        )
 
     @property
     def ordered_rows(self) -> list[Row]:

@@ -85,13 +85,18 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
     session = cpas_session(request.config)
     result = request.node.stash[ITEM_RESULT] = ItemResult()
     errors = []
-    # the others were judged before the run was killed
-    refs = [ref for ref in refs if ref.id not in session.collected[run].rows]
+    # the others were judged before the run was killed; of those a few are judged again
+    collected = session.collected[run]
+    refs = [ref for ref in refs if ref.id not in collected.rows or ref.id in collected.judged_again]
     if refs and (obstacle := session.obstacle(run)):
         skip(request.node, f"the adapter is wrong: {obstacle}")
     for ref in refs:
         try:
             row = run.judge(ref)
+            if (kept := collected.judged_again.get(ref.id)) is not None:
+                if told := row.differences(kept):
+                    errors.append(SampleError(collected.contradiction(ref.id, told)))
+                continue
             result.rows.append(row)
             session.keep(run, row)
         except SampleError as error:
