@@ -13,7 +13,7 @@ from pytest_cpas.evaluation.runs import SampleError
 from pytest_cpas.facts import Detected, pair_table
 from pytest_cpas.protocols import Ranking, facts_of, rank, ranking_columns
 from pytest_cpas.submissions import DetectedDataset, Found, Given
-from pytest_cpas.types import DataError, Method, Prediction, Sample, SampleRef
+from pytest_cpas.types import DataError, Method, Observation, Prediction, Sample, SampleRef
 
 __all__ = ["DetectedRun"]
 
@@ -41,7 +41,9 @@ class DetectedRun(MethodRun):
 
     def judge(self, ref: SampleRef) -> Row:
         """The row of a sample, with the detections that are ranked with it."""
-        row, answer = self._judged(ref)
+        row, prediction, observed = self._judged(ref)
+        keeps = self.take_answer is not None
+        answer = self._given(ref.category, prediction, observed) if keeps else None
         seen = self._detected.unseen(ref) is None
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         detections, others = [], []
@@ -49,10 +51,13 @@ class DetectedRun(MethodRun):
             if found.category not in self._method.info.categories:
                 continue
             if seen and index == 0:
-                estimate, answer = row.estimate, _ranked(answer, found)
+                estimate = row.estimate
+                answer = answer and _ranked(answer, found)
             else:
-                estimate, other = self._further(ref, found, where)
-                others.append(_ranked(_best(other), found))
+                estimate, prediction, observed = self._further(ref, found, where)
+                if keeps:
+                    given = self._given(found.category, prediction, observed)
+                    others.append(_ranked(given, found, most=1))
             detections.append(
                 Detection(
                     name=found.name,
@@ -62,21 +67,23 @@ class DetectedRun(MethodRun):
                     estimate=estimate,
                 )
             )
-        if self.take_answer is not None:
+        if self.take_answer is not None and answer is not None:
             self.take_answer(ref, self._dataset.image_of(ref), answer, others)
         return replace(row, detections=tuple(detections))
 
-    def _further(self, ref: SampleRef, found: Found, where: str) -> tuple[str | None, Given]:
-        """The answer about a further detection; none where its mask has no pixel."""
+    def _further(
+        self, ref: SampleRef, found: Found, where: str
+    ) -> tuple[str | None, Prediction, Observation | None]:
+        """The estimate and the answer about a further detection, and what the method has seen of
+        it; none where its mask has no pixel."""
         where = f"{where}, detection {found.name}"
         try:
             observation = self._detected.observe(ref, found)
             if observation is None:
-                failed = Prediction.failed("its mask is empty")
-                return None, Given(found.category, failed, None)
+                return None, Prediction.failed("its mask is empty"), None
             sample = Sample(ref, observation, self.truth(ref))
-            answer, _, given = self._answer(self.loaded(), ref, sample, self.seed, where)
-            return answer.estimate, self._given(given, observation)
+            answer, _, prediction = self._answer(self.loaded(), ref, sample, self.seed, where)
+            return answer.estimate, prediction, observation
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
         except MethodError as error:
@@ -107,18 +114,12 @@ class DetectedRun(MethodRun):
         return rank(columns, pair_table(facts_of(columns), detected, truths, gives))
 
 
-def _best(answer: Given) -> Given:
-    """An answer without its further hypotheses."""
-    prediction = answer.prediction
-    best = Prediction(prediction.hypotheses[:1], reason=prediction.reason)
-    return answer._replace(prediction=best)
-
-
-def _ranked(answer: Given, found: Found) -> Given:
-    """An answer with box and score of its detection; of further hypotheses none is ranked."""
+def _ranked(answer: Given, found: Found, most: int | None = None) -> Given:
+    """An answer with box and score of its detection, and at most so many hypotheses, of which the
+    first is ranked."""
     hypotheses = tuple(
         replace(hypothesis, score=None if number else found.score)
-        for number, hypothesis in enumerate(answer.prediction.hypotheses)
+        for number, hypothesis in enumerate(answer.prediction.hypotheses[:most])
     )
     prediction = Prediction(hypotheses, reason=answer.prediction.reason)
     return Given(found.category, prediction, found.box, found.score)

@@ -228,18 +228,19 @@ class MethodRun(Run):
 
     def judge(self, ref: SampleRef) -> Row:
         """Read, predict, validate, measure."""
-        row, answer = self._judged(ref)
+        row, prediction, seen = self._judged(ref)
         if self.take_answer is not None:
+            answer = self._given(ref.category, prediction, seen)
             self.take_answer(ref, self._dataset.image_of(ref), answer, ())
         return row
 
-    def _judged(self, ref: SampleRef) -> tuple[Row, Given]:
-        """The row of a sample, and the answer that it is about, that under the first seed."""
+    def _judged(self, ref: SampleRef) -> tuple[Row, Prediction, Observation | None]:
+        """The row of a sample, the answer that it is about, that under the first seed, and what the
+        method has seen, None for nothing."""
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         try:
             if reason := self._dataset.unseen(ref):
-                nothing = Given(ref.category, Prediction.failed(reason), None)
-                return self._unseen(ref, reason), nothing
+                return self._unseen(ref, reason), Prediction.failed(reason), None
             sample = self.read(ref)
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
@@ -252,12 +253,12 @@ class MethodRun(Run):
             strict=True,
         )
         row = Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
-        return row, self._given(predictions[0], sample.observation)
+        return row, predictions[0], sample.observation
 
-    def _given(self, prediction: Prediction, observation: Observation) -> Given:
+    def _given(self, category: str, prediction: Prediction, seen: Observation | None) -> Given:
         """An answer in the standard frames, with the 2-D box of what the method has seen."""
         standard = standard_prediction(prediction, self._method.info)
-        return Given(observation.category, standard, mask_box(observation.mask))
+        return Given(category, standard, None if seen is None else mask_box(seen.mask))
 
     def _unseen(self, ref: SampleRef, reason: str) -> Row:
         """The row of a sample that there is nothing to ask about."""

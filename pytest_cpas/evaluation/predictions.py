@@ -12,8 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
@@ -26,11 +24,13 @@ from pytest_cpas.submissions import (
     OwnTruth,
     Pairing,
     audit,
+    box_at,
     failures,
     hypothesis,
     in_half_precision,
     names,
     read_submission,
+    score_at,
     symmetry_in_view,
     without_detections,
 )
@@ -313,13 +313,11 @@ class StoredRun(Run):
             )
         except ContractError as error:
             prediction = Prediction.failed(str(error))
-        boxes, scores = answers.boxes, answers.scores
-        ranked = "score" in self.info.gives and scores is not None and not np.isnan(scores[best])
         return Given(
             category=self._submission.category(int(answers.class_ids[best])) or ref.category,
             prediction=standard_prediction(prediction, self.info),
-            box=None if boxes is None or np.isnan(boxes[best]).any() else boxes[best],
-            score=float(scores[best]) if ranked and scores is not None else None,
+            box=box_at(answers, best),
+            score=score_at(answers, best) if "score" in self.info.gives else None,
         )
 
     @functools.cached_property

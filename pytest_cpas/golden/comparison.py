@@ -31,6 +31,7 @@ from pytest_cpas.golden.spread import ALARM, DOUBT, Spread
 from pytest_cpas.golden.tables import RunTable, differences
 from pytest_cpas.golden.words import Word
 from pytest_cpas.protocols import CountColumn, asked_for
+from pytest_cpas.reading.words import decimal
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.samples import ALL, COMPLETENESS
 
@@ -138,14 +139,15 @@ def _seed_by_seed(
         for category, told in notes.items():
             verdict = exact.verdict(Pairing.of(then, now, category), told)
             verdicts[category].append((seed, verdict))
-    first = int(new.identity.get("seed", "0"))
+    first = int(decimal(new.identity.get("seed", "")) or 0)  # a text, perhaps of somebody else
     worst = []
     for found in verdicts.values():
         seed, verdict = min(found, key=lambda each: SEVERITY.index(each[1].word))
         if count > 1 and verdict.word is not Word.NOT_CHECKED:
-            under = f"each of {count} seeds: " if verdict.word is Word.MATCHES else ""
-            head = f"under {under or f'seed {first + seed}: '}"
-            verdict = replace(verdict, details=head + verdict.details)
+            which = (
+                f"each of {count} seeds" if verdict.word is Word.MATCHES else f"seed {first + seed}"
+            )
+            verdict = replace(verdict, details=f"under {which}: {verdict.details}")
         worst.append(verdict)
     return worst
 

@@ -12,10 +12,10 @@ from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.documents import SpeedDocument
 from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run, named
 
-#: Reused rows that are looked at, one of a category.
-_AGAIN = 12
-
 __all__ = ["CollectedRun", "ItemResult"]
+
+#: Reused rows that are judged again at most, one of a category.
+_AGAIN = 12
 
 
 @dataclass

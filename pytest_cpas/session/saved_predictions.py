@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 
 from pytest_cpas.evaluation import MergedRun, ResultsFile, Run, SavedAnswers
 from pytest_cpas.session.options import RunOptions
+from pytest_cpas.submissions import UNWRITTEN
 
 __all__ = ["open_saved"]
 
 _OPTION = "--cpas-save-predictions"
 
 #: What files are called in forms that only ``pytest-cpas convert`` writes, or nothing does.
-_FILES = {".npz", ".csv", ".pkl", ".json", ".txt"}
+_FILES = UNWRITTEN | {".npz", ".csv"}
 
 
 def open_saved(
@@ -40,10 +41,10 @@ def open_saved(
     if not is_file and (path.suffix in _FILES or path.exists()) and not path.is_dir():
         raise ValueError(f"{_OPTION} {path.name}: expected a .jsonl, or a folder")
     saved = {}
+    judged = {read.resolve() for read in options.predictions}
     for run in runs:
         target = path if is_file else path / f"{options.shard.stem_of(run)}.jsonl"
-        judged = [read.resolve() for read in options.predictions]
-        if target.resolve() in judged or target.resolve().parent in judged:
+        if judged & {target.resolve(), target.resolve().parent}:
             raise ValueError(f"{_OPTION}: {target} is, or is in, what is judged; name another file")
         saved[run] = SavedAnswers(target, run, worker)
         run.take_answer = saved[run].add

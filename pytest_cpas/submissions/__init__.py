@@ -1,6 +1,14 @@
 """Files of predictions in the forms that the field writes, beside the truth that they answer."""
 
-from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, names, order
+from pytest_cpas.submissions.answers import (
+    box_at,
+    failures,
+    hypothesis,
+    in_half_precision,
+    names,
+    order,
+    score_at,
+)
 from pytest_cpas.submissions.audit import audit
 from pytest_cpas.submissions.bop_csv import HEADER as BOP_HEADER
 from pytest_cpas.submissions.bop_csv import line as bop_line
@@ -10,10 +18,11 @@ from pytest_cpas.submissions.jsonl import Given, Header, answer_line
 from pytest_cpas.submissions.pairing import Pairing
 from pytest_cpas.submissions.reading import read_submission
 from pytest_cpas.submissions.truth import OwnTruth, symmetry_in_view, truth_of
-from pytest_cpas.submissions.writing import write_submission
+from pytest_cpas.submissions.writing import UNWRITTEN, write_submission
 
 __all__ = [
     "BOP_HEADER",
+    "UNWRITTEN",
     "Answers",
     "DetectedDataset",
     "Found",
@@ -27,12 +36,14 @@ __all__ = [
     "answer_line",
     "audit",
     "bop_line",
+    "box_at",
     "failures",
     "hypothesis",
     "in_half_precision",
     "names",
     "order",
     "read_submission",
+    "score_at",
     "symmetry_in_view",
     "truth_of",
     "without_detections",

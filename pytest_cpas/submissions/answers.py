@@ -13,6 +13,7 @@ from pytest_cpas.types import AnswerError, Array, ContractError, DataError, Hypo
 from pytest_cpas.types._arrays import frozen_array
 
 __all__ = [
+    "box_at",
     "counted_otherwise",
     "failures",
     "hypothesis",
@@ -20,6 +21,7 @@ __all__ = [
     "names",
     "order",
     "rigid",
+    "score_at",
 ]
 
 #: Largest entry of ``R @ R.T - I`` of a rotation whose entries were rounded to half precision: of
@@ -75,6 +77,18 @@ def names(submission: Submission, image: str, answers: Answers) -> Iterator[tupl
             own += "/" + "_".join(f"{pixel:.0f}" for pixel in answers.boxes[row].tolist())
         called[own] += 1
         yield row, own if called[own] == 1 else f"{own}+{called[own]}"
+
+
+def box_at(answers: Answers, row: int) -> Array | None:
+    """The 2-D box (4,) of an answer, None where it has none."""
+    boxes = answers.boxes
+    return None if boxes is None or np.isnan(boxes[row]).any() else boxes[row]
+
+
+def score_at(answers: Answers, row: int) -> float | None:
+    """How sure an answer is, None where that is not said."""
+    scores = answers.scores
+    return None if scores is None or np.isnan(scores[row]) else float(scores[row])
 
 
 def counted_otherwise(step: int, classes: int, answers: Answers) -> Answers:
@@ -138,15 +152,13 @@ def hypothesis(
     Raises :class:`AnswerError` that begins with ``where`` for what is none.
     """
     try:
-        score = None if answers.scores is None else float(answers.scores[index])
-        score = None if score is None or np.isnan(score) else score
         shape = answers.shapes[index] if shaped and answers.shapes is not None else None
         rotation, translation = rigid(answers, index, half=half)
         return Hypothesis(
             rotation=rotation,
             translation=translation,
             extents=None if answers.extents is None else answers.extents[index],
-            score=score,
+            score=score_at(answers, index),
             mesh=shape if isinstance(shape, Mesh) else None,
             points=None if isinstance(shape, Mesh) else shape,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 __all__ = ["read_submission"]
 
-
 #: What files are called in forms that are no JSON lines.
 _FORMS = {".pkl", ".npz", ".csv", ".txt"}
 
@@ -30,15 +29,13 @@ def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
     known.
     """
     # which says itself what its classes and axes are
-    if os.path.isdir(path) and any(path.glob("*.jsonl")):
-        others = sorted(f.relative_to(path).as_posix() for f in _files(path) if f.suffix in _FORMS)
-        if others:
-            raise DataError(
-                f"{path}: it holds .jsonl files and {some_of(others)}; name one of them, or a"
-                " folder of one kind"
-            )
-        return _by_place(jsonl_reading.read(path), dataset)
-    if path.suffix == ".jsonl":
+    is_folder = os.path.isdir(path) and any(path.glob("*.jsonl"))
+    if is_folder and (others := [file for file in _files(path) if file.suffix in _FORMS]):
+        raise DataError(
+            f"{path}: it holds .jsonl files and {some_of(_names(path, others))}; name one of them,"
+            " or a folder of one kind"
+        )
+    if is_folder or path.suffix == ".jsonl":
         return _by_place(jsonl_reading.read(path), dataset)
     read = _read(path, dataset)
     if dataset is None:
@@ -126,5 +123,9 @@ def _files(path: Path) -> Iterator[Path]:
 def _holds(path: Path, files: Sequence[Path]) -> str:
     if not files:
         return "is empty"
-    names = sorted(file.relative_to(path).as_posix() for file in files)
-    return f"holds {some_of(names)}"
+    return f"holds {some_of(_names(path, files))}"
+
+
+def _names(path: Path, files: Iterable[Path]) -> list[str]:
+    """Files below a folder, as a message calls them."""
+    return sorted(file.relative_to(path).as_posix() for file in files)

@@ -20,7 +20,14 @@ from numpy.typing import NDArray
 from pytest_cpas._files import replaced, write_file, write_through
 from pytest_cpas.datasets.bop import object_number
 from pytest_cpas.submissions import bop_csv, nocs
-from pytest_cpas.submissions.answers import failures, hypothesis, in_half_precision, order
+from pytest_cpas.submissions.answers import (
+    box_at,
+    failures,
+    hypothesis,
+    in_half_precision,
+    order,
+    score_at,
+)
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.jsonl import Given, Header, answer_line
 from pytest_cpas.submissions.pairing import Pairing
@@ -36,11 +43,10 @@ from pytest_cpas.types import (
 )
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET, to_standard
 
-__all__ = ["write_submission"]
-
+__all__ = ["UNWRITTEN", "write_submission"]
 
 #: What files are called that somebody might ask for.
-_UNWRITTEN = {".json", ".pkl", ".pickle", ".npy", ".txt", ".zip", ".gz", ".yaml", ".h5"}
+UNWRITTEN = {".json", ".pkl", ".pickle", ".npy", ".txt", ".zip", ".gz", ".yaml", ".h5"}
 
 
 def write_submission(
@@ -56,7 +62,7 @@ def write_submission(
     there = os.path.lexists(target)
     if there and not force:
         raise DataError(f"{target}: it is there already; name another, or pass --force")
-    if target.suffix in _UNWRITTEN:
+    if target.suffix in UNWRITTEN:
         raise DataError(
             f"{target}: this form is not written; name a .jsonl, an .npz, a .csv, or a folder"
         )
@@ -118,19 +124,29 @@ def _json_lines(submission: Submission, lost: Counter[str]) -> Iterator[str]:
             )
         if answers.scores is not None and "score" not in submission.gives:
             lost["the scores of {} answers, which others do not have"] += len(answers)
+        reasons = failures(answers)
+
+        def given(
+            rows: Sequence[int], image: Image = image, reasons: Sequence[str | None] = reasons
+        ) -> Given:
+            return _given(submission, image, rows, reasons, half, lost)
+
         for rows, beside in _lines_of(answers):
             sample = None if answers.samples is None else answers.samples[rows[0]]
-            answer = _given(submission, image, rows, half, lost)
-            others = [_given(submission, image, [row], half, lost) for row in beside]
+            answer, others = given(rows), [given([row]) for row in beside]
             yield answer_line(image.name, sample, answer, submission.gives, others)
 
 
 def _given(
-    submission: Submission, image: Image, rows: Sequence[int], half: bool, lost: Counter[str]
+    submission: Submission,
+    image: Image,
+    rows: Sequence[int],
+    reasons: Sequence[str | None],
+    half: bool,
+    lost: Counter[str],
 ) -> Given:
-    """What was answered about one object, the best first."""
+    """What was answered about one object, the best first; ``reasons``: why an answer is none."""
     answers, best = image.answers, rows[0]
-    reasons = failures(answers)
     given, reason = [], None
     for row in rows:
         reason = reason or reasons[row]
@@ -145,12 +161,11 @@ def _given(
                 given.append(_declared(made, submission))
     if given and len(given) < len(rows):
         lost["{} hypotheses that are none, beside others"] += len(rows) - len(given)
-    boxes = answers.boxes
     return Given(
         category=submission.category(int(answers.class_ids[best])),
         prediction=Prediction(tuple(given), reason=reason),
-        box=None if boxes is None or np.isnan(boxes[best]).any() else boxes[best],
-        score=_score(answers, best, submission),
+        box=box_at(answers, best),
+        score=score_at(answers, best) if "score" in submission.gives else None,
     )
 
 
@@ -171,13 +186,6 @@ def _lines_of(answers: Answers) -> Iterator[tuple[Sequence[int], Sequence[int]]]
 
 def _declared(made: Hypothesis, submission: Submission) -> Hypothesis:
     return made if "score" in submission.gives else replace(made, score=None)
-
-
-def _score(answers: Answers, row: int, submission: Submission) -> float | None:
-    """How sure a failed answer is, if that is said."""
-    if answers.scores is None or "score" not in submission.gives or np.isnan(answers.scores[row]):
-        return None
-    return float(answers.scores[row])
 
 
 # -- forms of detections --------------------------------------------------------------------

@@ -67,8 +67,8 @@ def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
     for word, group in by_word.items():
         outcome = group[0]["outcome"]
         colour = {"red": outcome == "failed", "green": outcome == "passed"}
-        each = len(group) == 1 or any(verdict["category"] == COMPLETENESS for verdict in group)
-        if each or outcome == "failed" or word in _TOLD:
+        alone = len(group) == 1 or any(verdict["category"] == COMPLETENESS for verdict in group)
+        if alone or outcome == "failed" or word in _TOLD:
             for verdict in group:
                 # the rest of what failed stands among the failures
                 first, *rest = verdict_message(verdict).splitlines()
@@ -83,8 +83,8 @@ def print_run(terminal: Terminal, run: RunDocument, origin: str) -> None:
         else:
             names = ", ".join(verdict["category"] for verdict in group)
             terminal.write_line(f"golden: {word} ({names})", **colour)
-        details = [line.strip() for verdict in group for line in verdict["details"].splitlines()]
         if word == Word.MATCHES:
+            details = [line.strip() for each in group for line in each["details"].splitlines()]
             for line in dict.fromkeys(line for line in details if line.startswith(ELSEWHERE)):
                 _wrapped(terminal, f"  {line}")
     for finding in run["findings"]:
