@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from pytest_cpas.facts import Facts, fact
+from pytest_cpas.types.declarations import TOLERANCE
 
 __all__ = ["Answer", "Answered", "Detection", "Row"]
 
@@ -23,6 +24,21 @@ class Answer:
     facts: Facts
     failure: str | None = None
     estimate: str | None = None
+
+    def difference(self, before: Answer, tolerance: float = TOLERANCE) -> str:
+        """What differs, in words, from an answer to the same: why it is none, or a fact by more
+        than it may move, which ``tolerance`` says as a method declares it; empty if nothing does.
+        """
+        if self.failure != before.failure:
+            return f"failure was {before.failure}, now {self.failure}"
+        for name, now in self.facts.items():
+            then = before.facts.get(name)
+            if (now is None) is not (then is None):
+                return f"{name} was {then}, now {now}"
+            if now is None or then is None or fact(name).is_close(then, now, tolerance):
+                continue
+            return f"{name} was {then:.6g}, now {now:.6g}"
+        return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,21 +92,11 @@ class Row(Answered):
         detections = tuple(Detection(**found) for found in values.get("detections", ()))
         return cls(**{**values, "answers": answers, "detections": detections})
 
-    def differences(self, kept: Row) -> str:
-        """What differs, in words, from the row that was kept of a deterministic method; empty if
-        nothing does, or by no more than a fact is judged by."""
-        for now, then in zip(self.answers, kept.answers, strict=False):
-            if now.failure != then.failure:
-                return f"failure was {then.failure}, now {now.failure}"
-            for name, value in now.facts.items():
-                before = then.facts.get(name)
-                if (value is None) is not (before is None):
-                    return f"{name} was {before}, now {value}"
-                if value is None or before is None or value == before:
-                    continue
-                if not fact(name).is_close(before, value):
-                    return f"{name} was {before:.6g}, now {value:.6g}"
-        return ""
+    def difference(self, kept: Row, tolerance: float) -> str:
+        """What differs, in words, from the row that was kept of a deterministic method, under the
+        seeds that both have; empty if nothing does. ``tolerance``: the one that it declares."""
+        pairs = zip(self.answers, kept.answers, strict=False)
+        return next((told for now, then in pairs if (told := now.difference(then, tolerance))), "")
 
     def plain(self) -> dict[str, Any]:
         """As values of JSON, but for infinite facts."""

@@ -74,9 +74,7 @@ class TableSample(Answered):
             self.category == other.category
             and self.outcomes == other.outcomes
             and all(
-                a.failure == b.failure
-                and a.facts.keys() == b.facts.keys()
-                and all(_is_close(name, a.facts[name], b.facts[name]) for name in a.facts)
+                a.facts.keys() == b.facts.keys() and not a.difference(b)
                 for a, b in zip(self.answers, other.answers, strict=True)
             )
         )
@@ -313,12 +311,6 @@ def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
         for key in sorted({*golden, *run})
         if golden.get(key) != run.get(key)
     ]
-
-
-def _is_close(name: str, one: float | None, other: float | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return fact(name).is_close(one, other)
 
 
 def _recordable_text(text: str | None) -> str | None:

@@ -84,12 +84,15 @@ class CollectedRun:
                 first.setdefault(ref.category, file.rows[ref.id])
         return {row.sample: row for row in [*first.values()][:_AGAIN]}
 
-    def contradiction(self, sample: str, told: str) -> str:
-        """What to say where a reused row is not what the program answers now."""
-        where = self._file.path if self._file else ""
+    def contradiction(self, row: Row, kept: Row) -> str:
+        """What to say where a reused row is not what the program answers now; empty if it is."""
+        info, file = self.run.info, self._file
+        told = "" if info is None else row.difference(kept, info.tolerance)
+        if file is None or not told:
+            return ""
         return (
-            f"{sample}: its row is reused from {where}, and is not what the method answers now"
-            f" ({told}): something changed that is not seen. Name another folder with"
+            f"{row.sample}: its row is reused from {file.path}, and is not what the method answers"
+            f" now ({told}): something changed that is not seen. Name another folder with"
             " --cpas-results, so that all is computed again"
         )
 

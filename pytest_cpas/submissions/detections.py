@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,9 +70,7 @@ class DetectedDataset(WrappedDataset):
         """Read the boxes of all images; :class:`DataError` naming the file that is damaged."""
         super().__init__(dataset)
         self._files = _files(folder)
-        self._detections, masks, self._contradictions = _submission(
-            folder, self._files, dataset.class_names
-        )
+        self._detections, masks = _submission(folder, self._files, dataset.class_names)
         self._pairing = Pairing(self._detections, dataset)
         self._read = functools.lru_cache(maxsize=2)(_read)
         digest = hashlib.sha256(f"{dataset.digest} {masks}".encode())
@@ -87,14 +85,16 @@ class DetectedDataset(WrappedDataset):
     def notes(self) -> Sequence[str]:
         """What is noticed about the detections; nothing about sound ones."""
         notes = []
-        wrong, swapped, total = self._contradictions
+        numbers = evenly(sorted(self._pairing.images), _IMAGES)
+        where = "" if len(numbers) == len(self._pairing.images) else f" of {len(numbers)} images"
+        read = (self._read(self._files[number], self.class_names) for number in numbers)
+        wrong, swapped, total = sum(map(_contradictions, read), np.zeros(3, np.int64))
         if wrong >= max(_LEAST, _SHARE * total):
             notes.append(
-                f"audit: the 2-D boxes of {wrong} of {total} detections are not those of their"
-                f" masks, of which {swapped} would be if they were x1, y1, x2, y2; which object is"
-                " whose is told by the boxes, and a method sees the masks"
+                f"audit: the 2-D boxes of {wrong} of {total} detections{where} are not those of"
+                f" their masks, of which {swapped} would be if they were x1, y1, x2, y2; which"
+                " object is whose is told by the boxes, and a method sees the masks"
             )
-        numbers = evenly(sorted(self._pairing.images), _IMAGES)
 
         def matched(step: int) -> int:
             images, classes = self._detections.images, len(self.class_names)
@@ -183,16 +183,13 @@ class DetectedDataset(WrappedDataset):
 
 def _submission(
     folder: Path, files: Sequence[Path], classes: Sequence[str]
-) -> tuple[Submission, str, NDArray[np.int64]]:
-    """The boxes of all images, as answers without poses; a digest of the masks; and how many boxes
-    are not those of their masks, would be with x and y exchanged, and are there."""
+) -> tuple[Submission, str]:
+    """The boxes of all images, as answers without poses, and a digest of the masks."""
     images = []
-    digest, contradictions = hashlib.sha256(), np.zeros(3, np.int64)
+    digest = hashlib.sha256()
     for file in files:
         found = _read(file, classes)
-        masks = found["masks"] != 0
-        digest.update(np.packbits(masks).tobytes())
-        contradictions += _contradictions(found["rois"].astype(np.float64), masks)
+        digest.update(np.packbits(found["masks"] != 0).tobytes())
         answers = Answers(
             class_ids=found["class_ids"],
             poses=np.full((len(found["class_ids"]), 4, 4), np.nan),
@@ -208,12 +205,13 @@ def _submission(
         object_frame="nocs",
         gives=frozenset(),
     )
-    return submission, digest.hexdigest(), contradictions
+    return submission, digest.hexdigest()
 
 
-def _contradictions(boxes: Array, masks: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """How many boxes (n, 4) are not those of their masks (H, W, n), how many of those would be with
-    x and y exchanged, and n."""
+def _contradictions(found: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+    """How many 2-D boxes of an image are not those of their masks, how many of those would be with
+    x and y exchanged, and how many there are."""
+    boxes, masks = found["rois"].astype(np.float64), found["masks"] != 0
     seen = [row for row in range(len(boxes)) if masks[:, :, row].any()]
     if not seen:
         return np.array([0, 0, len(boxes)])

@@ -94,8 +94,8 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
         try:
             row = run.judge(ref)
             if (kept := collected.judged_again.get(ref.id)) is not None:
-                if told := row.differences(kept):
-                    errors.append(SampleError(collected.contradiction(ref.id, told)))
+                if told := collected.contradiction(row, kept):
+                    errors.append(SampleError(told))
                 continue
             result.rows.append(row)
             session.keep(run, row)

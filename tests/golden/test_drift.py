@@ -245,6 +245,13 @@ def _joined(one, other):
     return {key: {**one.get(key, {}), **other.get(key, {})} for key in {*one, *other}}
 
 
+@pytest.mark.parametrize(("seed", "told"), [("7", 7), ("x", 0), ("", 0), ("1e400", 0)])
+def test_a_seed_of_a_file_may_be_any_text(seed, told):
+    golden, new = seeded(), seeded(seed0={"rotation_deg": turned(0.03)})
+    tables = [replace(table, identity={"data": "x", "seed": seed}) for table in (golden, new)]
+    assert compare(*tables)[1].details.startswith(f"under seed {told}: ")
+
+
 def test_a_run_of_fewer_seeds_is_compared_with_those():
     golden = seeded()
     assert set(words(compare(golden, table())).values()) == {Word.MATCHES}

@@ -20,6 +20,9 @@ class Depends(Perfect):
         moved = replace(best, translation=best.translation + off)
         return Prediction((moved,)) if off < 1 else Prediction.failed("gone")
 
+class Rough(Depends):
+    info = replace(Perfect.info, tolerance=0.05)
+
 class Jitters(Depends):
     info = replace(Perfect.info, deterministic=False)
 """
@@ -66,6 +69,12 @@ def test_rows_of_a_part_are_compared_too(depends):
     result, _ = depends(aside="0.05")
     assert result.ret == 1
     assert result.stdout.str().count("is not what the method answers now") >= 2
+
+
+def test_what_a_method_may_differ_by_is_what_it_declares(depends):
+    assert depends(method="Rough")[0].ret == 0
+    assert depends(method="Rough", aside="0.0005")[0].ret == 0
+    assert depends(method="Rough", aside="0.05")[0].ret == 1
 
 
 @pytest.mark.parametrize(
