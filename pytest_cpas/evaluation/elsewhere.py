@@ -7,17 +7,21 @@ search could follow, but what they are given stands in the text.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import importlib.metadata
 import json
 import os
 import re
-from collections.abc import Collection, Iterable
+import sys
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from pytest_cpas.reading.structured import parse_json
 from pytest_cpas.types import ContractError
 
-__all__ = ["installed_from_elsewhere", "module_names", "values", "variables"]
+__all__ = ["Start", "installed_from_elsewhere", "module_names", "values", "variables"]
 
 _VARIABLE = re.compile(r"[A-Z][A-Z0-9_]{2,}")
 
@@ -31,19 +35,46 @@ _OF_MACHINES = re.compile(
 _MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 
-def _named(texts: Iterable[str]) -> list[str]:
-    found = {text for text in texts if _VARIABLE.fullmatch(text) and text in os.environ}
+@dataclass(frozen=True)
+class Start:
+    """What tells a process where modules and files are, and what the code that it runs may change.
+
+    ``path``: as ``sys.path``; ``folder``: the current one; ``environment``: as ``os.environ``.
+    """
+
+    path: Sequence[str]
+    folder: Path
+    environment: Mapping[str, str]
+
+    @classmethod
+    def now(cls) -> Start:
+        """That of this process."""
+        return cls([os.path.abspath(place) for place in sys.path], Path.cwd(), {**os.environ})
+
+    @contextmanager
+    def imports(self) -> Iterator[None]:
+        """Modules are looked for where they were then."""
+        path, sys.path[:] = [*sys.path], self.path
+        try:
+            importlib.invalidate_caches()
+            yield
+        finally:
+            sys.path[:] = path
+
+
+def _named(texts: Iterable[str], environment: Mapping[str, str]) -> list[str]:
+    found = {text for text in texts if _VARIABLE.fullmatch(text) and text in environment}
     return sorted(name for name in found if not _OF_MACHINES.fullmatch(name))
 
 
-def variables(texts: Collection[str]) -> dict[str, str]:
-    """A digest of each environment variable that is set and that a text names, by ``$NAME``."""
-    return {f"${name}": _digest(os.environ[name]) for name in _named(texts)}
+def variables(texts: Collection[str], environment: Mapping[str, str]) -> dict[str, str]:
+    """A digest of each variable of an environment that a text names, by ``$NAME``."""
+    return {f"${name}": _digest(environment[name]) for name in _named(texts, environment)}
 
 
-def values(texts: Collection[str]) -> set[str]:
+def values(texts: Collection[str], environment: Mapping[str, str]) -> set[str]:
     """What those variables hold, which may be paths."""
-    return {os.environ[name] for name in _named(texts)}
+    return {environment[name] for name in _named(texts, environment)}
 
 
 def module_names(texts: Iterable[str]) -> list[str]:

@@ -186,9 +186,8 @@ class MethodRun(Run):
         self._meanwhile.look()
         if thoroughly:
             for parts, before in zip(self._parts, self._programs, strict=True):
-                now = look_again(*parts)
-                # variables are set by methods as well
-                names = [n for n in changed_names(before.files, now.files) if n[0] != "$"]
+                now = look_again(before, *parts)
+                names = [*changed_names(before.files, now.files)]
                 told = (before.code, before.packages) != (now.code, now.packages)
                 if told and not names:
                     names = ["what it imports"]

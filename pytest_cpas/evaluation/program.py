@@ -31,6 +31,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from pytest_cpas.evaluation.elsewhere import (
+    Start,
     installed_from_elsewhere,
     module_names,
     values,
@@ -76,7 +77,8 @@ class Program:
     ``code``: a digest of its sources, or :data:`UNKNOWN`; ``packages``: name and version of the
     distributions that they import; ``revision``: that of the git repository they are in, with
     ``+`` if it has changes, or ""; ``files``: a digest of each source, and of each file around them
-    that may be run or read, by name; ``seen``: all of them as they were before they were read.
+    that may be run or read, by name; ``seen``: all of them as they were before they were read;
+    ``start``: what the process knew when it looked for them.
     """
 
     code: str
@@ -84,6 +86,7 @@ class Program:
     revision: str
     files: Mapping[str, str] = field(default_factory=dict)
     seen: Mapping[Path, Seen] = field(default_factory=dict, compare=False, repr=False)
+    start: Start | None = field(default=None, compare=False, repr=False)
 
     def facts(self) -> Mapping[str, str]:
         """As provenance has it."""
@@ -104,21 +107,26 @@ def program_of(*parts: type | Callable[..., object]) -> Program:
     """
     names = " ".join(_name_of(part) for part in parts)
     if names not in _handed:
-        _found[names] = _look_for(names, parts)
+        _found[names] = _look_for(names, parts, Start.now())
     return _handed.get(names) or _found[names]
 
 
 def found_programs() -> dict[str, dict[str, Any]]:
     """The programs that were looked for, as plain values for :func:`take_programs`; whether they
     change is seen by this process alone."""
-    return {name: asdict(replace(program, seen={})) for name, program in _found.items()}
+    return {name: asdict(replace(program, seen={}, start=None)) for name, program in _found.items()}
 
 
-def look_again(*parts: type | Callable[..., object]) -> Program:
-    """As :func:`program_of`, but of what the files are now, whoever has asked before."""
-    importlib.invalidate_caches()
-    _distributions.cache_clear()
-    return _look_for(" ".join(map(_name_of, parts)), parts)
+def look_again(before: Program, *parts: type | Callable[..., object]) -> Program:
+    """As :func:`program_of` was ``before``, but of what the files are now.
+
+    What the process was started with counts: a method may change its folder, put one of its own on
+    ``sys.path``, or set variables, and is the same program.
+    """
+    start = before.start or Start.now()
+    with start.imports():
+        _distributions.cache_clear()
+        return _look_for(" ".join(map(_name_of, parts)), parts, start)
 
 
 def take_programs(known: Mapping[str, Mapping[str, Any]]) -> None:
@@ -135,7 +143,7 @@ def _name_of(part: type | Callable[..., object]) -> str:
     return f"{part.__module__}:{getattr(part, '__qualname__', repr(part))}"
 
 
-def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Program:
+def _look_for(names: str, parts: Sequence[type | Callable[..., object]], start: Start) -> Program:
     kinds = [kind for part in parts for kind in getattr(part, "__mro__", (part,))]
     modules = {kind.__module__ for kind in kinds if kind.__module__ != "builtins"}
     search = _Search()
@@ -148,8 +156,8 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Prog
     # those of the harness name what it reads itself
     own = (texts for path, texts in search.texts.items() if not _is_harness(search.files[path]))
     words = set().union(*own)
-    texts = {path: some | values(some) for path, some in search.texts.items()}
-    around = files_around(search.files, texts, search.distributions())
+    texts = {path: some | values(some, start.environment) for path, some in search.texts.items()}
+    around = files_around(search.files, texts, search.distributions(), start.folder)
     named_modules = search.beside()
     for module in module_names(words):
         named_modules.follow(module, own=False)
@@ -167,9 +175,10 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]]) -> Prog
     files = {
         **by_name(around, digests),
         **installed_from_elsewhere(search.foreign()),
-        **variables(words),
+        **variables(words, start.environment),
     }
-    return Program(search.digest(names), search.packages(), _revision(known[0]), files, watched)
+    revision = _revision(known[0])
+    return Program(search.digest(names), search.packages(), revision, files, watched, start)
 
 
 def _is_harness(module: str) -> bool:

@@ -122,14 +122,18 @@ def is_installed(path: Path) -> bool:
 
 
 def files_around(
-    own: Mapping[Path, str], texts: Mapping[Path, Collection[str]], distributions: Iterable[str]
+    own: Mapping[Path, str],
+    texts: Mapping[Path, Collection[str]],
+    distributions: Iterable[str],
+    folder: Path,
 ) -> dict[Path, str]:
     """All files of a program, each with a name that does not depend on where it lies.
 
     ``own``: the modules that imports lead to, by name; ``texts``: what strings each of them has;
-    ``distributions``: those that are installed and are the program's own.
+    ``distributions``: those that are installed and are the program's own; ``folder``: where
+    the process was started.
     """
-    look = _Look(own, texts)
+    look = _Look(own, texts, folder)
     for name in distributions:
         look.at_distribution(name)
     for path, module in own.items():
@@ -148,9 +152,11 @@ def files_around(
 class _Look:
     """The files found so far, and what has been looked into."""
 
-    def __init__(self, own: Mapping[Path, str], texts: Mapping[Path, Collection[str]]) -> None:
+    def __init__(
+        self, own: Mapping[Path, str], texts: Mapping[Path, Collection[str]], folder: Path
+    ) -> None:
         self.found: dict[Path, str] = {}
-        self._own, self._texts = own, texts
+        self._own, self._texts, self._folder = own, texts, folder
         self._holding = {folder for path in own for folder in path.parents}
         self._words = {
             part for parts in texts.values() for text in parts for part in re.split(r"[/\\]", text)
@@ -203,7 +209,7 @@ class _Look:
         for text in self._texts.get(module, ()):
             if len(text) > _LONGEST_PATH or _NO_PATH.search(text):
                 continue
-            for start in (module.parent, Path.cwd(), _HOME):
+            for start in (module.parent, self._folder, _HOME):
                 path = start / text.removeprefix("~/")
                 if path in self._tried:
                     continue

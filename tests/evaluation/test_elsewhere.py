@@ -16,7 +16,7 @@ from pytest_cpas.evaluation import MethodRun, program, surroundings
 from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.evaluation.surroundings import changes
 
-OWN = ("adapters", "apart", "edited", "installed", "maker")
+OWN = ("adapters", "apart", "edited", "installed", "maker", "optional", "ours")
 
 
 @pytest.fixture
@@ -41,6 +41,7 @@ def _forget():
     importlib.invalidate_caches()
     program_of.cache_clear()
     program._distributions.cache_clear()
+    surroundings._everybodys.cache_clear()  # of another home
 
 
 def write(path, text):
@@ -110,12 +111,37 @@ def test_a_file_that_a_variable_names(project, monkeypatch):
     assert said(before, files(project, "'MINE_SETTINGS'")) == f"changed: {at}"
 
 
-def test_a_variable_that_a_method_sets_has_not_changed_meanwhile(project, monkeypatch):
+#: What a method may do when it is loaded, and is the same program.
+MOVES = {
+    "a variable": lambda patch, _: patch.setenv("MINE_ANGLE", "7"),
+    "a variable with a path": lambda patch, at: patch.setenv("MINE_ANGLE", str(at / "angle.yaml")),
+    "a folder on the path": lambda patch, at: patch.syspath_prepend(at),
+    "the end of the path": lambda patch, at: patch.setattr(sys, "path", [*sys.path, str(at)]),
+    "another folder": lambda patch, at: patch.chdir(at),
+}
+
+
+@pytest.mark.parametrize("changed", [False, True])
+@pytest.mark.parametrize("move", MOVES)
+def test_what_a_method_does_to_its_process_has_not_changed_it(project, monkeypatch, move, changed):
+    """A folder has what an import, a text and a variable would have found; one on the path by a
+    relative name is where it was."""
+    for name in ("optional.py", "settings.cfg", "angle.yaml", "tiny_data.egg-info/top_level.txt"):
+        write(project / "third" / name, "optional")
+    write(project / "third/tiny_data.egg-info/PKG-INFO", "Name: tiny_data\nVersion: 1.0\n")
+    monkeypatch.chdir(project)
+    monkeypatch.setattr(sys, "path", ["project", *sys.path])
     monkeypatch.delenv("MINE_ANGLE", raising=False)
-    files(project, "'MINE_ANGLE'")
+    head = "try:\n    import optional\nexcept ImportError:\n    import ours"
+    write(project / "project/ours.py", "angle = 0")
+    files(project, "('MINE_ANGLE', 'settings.cfg')", head)
     run = MethodRun(sys.modules["adapters.mine"].Mine(), tiny.Tiny(None))
-    monkeypatch.setenv("MINE_ANGLE", "7")
-    assert not run.changed_meanwhile(thoroughly=True)
+    MOVES[move](monkeypatch, project / "third")
+    here = [*sys.path]
+    if changed:
+        write(project / "project/ours.py", "angle = 7")
+    assert bool(run.changed_meanwhile(thoroughly=True)) == changed
+    assert sys.path == here
 
 
 @pytest.mark.parametrize("text", ["~/.mine/angle.yaml", ".mine/angle.yaml"])

@@ -8,6 +8,7 @@ import tiny
 from pytest_cpas.checks.contract import CONTRACT, ContractResult
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.evaluation import MethodRun, ResultsFile, SampleError, Shard, read_results
+from pytest_cpas.evaluation.program import program_of
 from pytest_cpas.session.collected import CollectedRun, ItemResult
 from pytest_cpas.session.judging import JudgedRun, judge, record_run
 from pytest_cpas.session.reporting import Reporter
@@ -100,6 +101,7 @@ def test_what_is_not_recorded(tmp_path, run, failed, why):
 
 
 def test_rows_are_kept_while_the_run_is_open(tmp_path):
+    program_of.cache_clear()  # what it was to another test, in another folder, is no matter
     run = MethodRun(tiny.Raises(), tiny.Tiny(None))
     found = items(run)
     with CollectedRun(run, ResultsFile(tmp_path, run, SHARD)) as whole:
@@ -112,7 +114,7 @@ def test_rows_are_kept_while_the_run_is_open(tmp_path):
     assert kept.contract.keys() == CONTRACT.keys()
     # the next run begins with the rows, and tries again what has none
     again = CollectedRun(run, ResultsFile(tmp_path, run, SHARD))
-    assert again.rows == kept.rows
+    assert again.rows == kept.rows, again.origin
     assert again.errors == {}
 
 
