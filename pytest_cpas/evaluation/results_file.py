@@ -106,6 +106,16 @@ class ResultsFile:
         self.rows, self._contract = there.rows, there.contract
         self._size, self._last = there.size, there.last
 
+    def check_free(self) -> None:
+        """Raise :class:`ResultsError` if another run is writing the file, or nobody may."""
+        if self._stamp is None:
+            return
+        try:
+            with _opened(self.path, os.O_APPEND) as file:
+                _lock(file, self.path)
+        except OSError as error:
+            raise self._unopened(error) from error
+
     def __enter__(self) -> ResultsFile:
         """Start writing: a new file with its header, or after the last whole line.
 
@@ -122,18 +132,14 @@ class ResultsFile:
         except BaseException as error:
             self.__exit__()
             if isinstance(error, OSError):
-                raise ResultsError(f"{self.path}: cannot be written ({error})") from error
+                raise self._unopened(error) from error
             raise
         return self
 
     def _open(self) -> None:
         file = _opened(self.path, os.O_APPEND)
         self._file = file
-        if not _lock(file):
-            raise ResultsError(
-                f"{self.path}: another run is writing it. Wait until it is through, or name another"
-                " folder"
-            )
+        _lock(file, self.path)
         made = self._stamp is None and os.fstat(file.fileno()).st_size == 0
         if not made and _stamp(self.path) != self._stamp:
             raise ResultsError(
@@ -145,8 +151,11 @@ class ResultsFile:
             self.path.rename(_free(self.path))
             file.close()
             self._file = file = _opened(self.path, os.O_EXCL)
-            _lock(file)
+            _lock(file, self.path)
         file.truncate(self._size)
+
+    def _unopened(self, error: OSError) -> ResultsError:
+        return ResultsError(f"{self.path}: cannot be written ({error}); name another folder")
 
     def __exit__(self, *exception: object) -> None:
         """End writing."""
@@ -252,20 +261,21 @@ def _opened(path: Path, flag: int) -> io.FileIO:
     return io.FileIO(os.open(path, flags, 0o666), "wb")
 
 
-def _lock(file: io.FileIO) -> bool:
-    """Keep other runs from writing a file until it is closed; False if another one does.
+def _lock(file: io.FileIO, path: Path) -> None:
+    """Keep other runs from writing a file until it is closed; :class:`ResultsError` if one does.
 
     Where the system has no such lock, the checksums tell afterwards that two runs wrote at once.
     """
     try:
         import fcntl
     except ImportError:
-        return True
+        return
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+    except BlockingIOError as error:
+        raise ResultsError(
+            f"{path}: another run is writing it. Wait until it is through, or name another folder"
+        ) from error
 
 
 def _free(path: Path) -> Path:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pytest_cpas.checks.contract import ContractResult
+from pytest_cpas.checks.contract import CONTRACT, ContractResult
 from pytest_cpas.documents import SpeedDocument
 from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run, named
 
@@ -65,6 +65,7 @@ class CollectedRun:
         self._speed: SpeedDocument | None = None
         self._named: frozenset[str] = frozenset()
         self._deselected: frozenset[str] = frozenset()
+        self._refused = ""
 
     @property
     def rows(self) -> Mapping[str, Row]:
@@ -96,10 +97,16 @@ class CollectedRun:
             " --cpas-results, so that all is computed again"
         )
 
+    def refuse_reused(self, reason: str) -> None:
+        """What was reused is not what the program answers: a verdict on it would be on another."""
+        self._refused = reason
+
     @property
     def ordered_rows(self) -> list[Row]:
-        """The rows in the data set's order, however they came."""
-        return [self._rows[ref.id] for ref in self.run.samples if ref.id in self._rows]
+        """The rows that are judged, in the data set's order, however they came."""
+        reused = self._file.rows if self._file is not None and self._refused else {}
+        there = self._rows.keys() - reused.keys()
+        return [self._rows[ref.id] for ref in self.run.samples if ref.id in there]
 
     @property
     def errors(self) -> Mapping[str, str]:
@@ -110,6 +117,14 @@ class CollectedRun:
     def contract(self) -> Mapping[str, ContractResult]:
         """What each check of the contract found."""
         return self._contract
+
+    @property
+    def breaks_smoke(self) -> bool:
+        """Whether the method breaks a check without which no sample is judged."""
+        return any(
+            result.wrong and not result.known and CONTRACT[check].smoke
+            for check, result in self._contract.items()
+        )
 
     @property
     def speed(self) -> SpeedDocument | None:
@@ -142,7 +157,8 @@ class CollectedRun:
             parts.append(f"computed {new}{self._meanwhile}" if new else "computed 0")
         if self._file is not None and reused:
             of = " of another program" if self._file.another_program else ""
-            parts.append(f"reused {reused}{of} from {self._file.path}")
+            word = f"left out ({self._refused})" if self._refused else "reused"
+            parts.append(f"{word} {reused}{of} from {self._file.path}")
         if self._file is not None and self._file.set_aside and self._file.set_aside.rows:
             parts.append(str(self._file.set_aside))
         if excluded := self.excluded(self.run.listed):
@@ -161,6 +177,8 @@ class CollectedRun:
         not take it."""
         self._rows |= {row.sample: row for row in result.rows}
         self._errors |= dict(result.errors)
+        if self._file is not None and any(name in self._file.rows for name, _ in result.errors):
+            self.refuse_reused("not what the method answers now")
         if result.contract:
             self._contract[result.contract.check] = result.contract
         if self._file is None:
@@ -168,7 +186,8 @@ class CollectedRun:
         for row in result.rows:
             self.keep(row)
         for sample, message in result.errors:
-            self._file.add_error(sample, message)
+            if sample not in self._kept:
+                self._file.add_error(sample, message)
         if result.contract:
             self._file.add_contract(result.contract.plain())
 

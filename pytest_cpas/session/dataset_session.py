@@ -35,6 +35,8 @@ class DatasetSession(SuiteSession):
         super().__init__(config, "test_dataset.py", "cpas-dataset")
         with usage_errors(registry.RegistryError, ContractError, ValueError, ImportError, OSError):
             self.options = options = DatasetOptions.of(config.option, config.invocation_params.dir)
+            if self.is_controller:
+                options.check_written()
             import_open3d()
             self.checked = [
                 CheckedDataset.of(

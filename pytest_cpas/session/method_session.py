@@ -126,6 +126,8 @@ class CpasSession(SuiteSession):
                 timeout=sample_seconds(config),
             )
             leave_out(options.folders)
+            if self.is_controller:
+                options.check_written()
             runs = resolve_runs(options)
             plugins = _plugins(config)
             watched = [file for files in plugins.values() for file in files]
@@ -133,7 +135,7 @@ class CpasSession(SuiteSession):
                 if isinstance(run, MethodRun):
                     run.provenance = {**run.provenance, **_digests(plugins)}
                     run.began(began(config), watched)
-            files = open_results(options, runs)
+            files = open_results(options, runs, writes=self.is_controller)
             worker = getattr(config, "workerinput", {}).get("workerid", "")
             self.saved = open_saved(options, runs, files, worker)
             self.stages = contract_stages(runs)
@@ -187,7 +189,7 @@ class CpasSession(SuiteSession):
 
     def obstacle(self, run: Run) -> str:
         """Why the samples of a run need not be judged: the contract that its method breaks."""
-        first = (run.shared if isinstance(run, MethodRun) else None) or run
+        first = _first_of(run)
         # where -k left the checks out, they stop nothing
         return self.stages[first].wrong if first in self._with_contract else ""
 
@@ -327,6 +329,8 @@ class CpasSession(SuiteSession):
         self.verdicts_told = True
 
     def _judge(self, collected: CollectedRun, failed_items: int) -> JudgedRun:
+        if self.collected[_first_of(collected.run)].breaks_smoke:
+            collected.refuse_reused("the adapter is wrong")
         only_timed = self.options.benchmark and not collected.rows
         if self.options.update and not only_timed:
             return record_run(
@@ -362,6 +366,11 @@ class CpasSession(SuiteSession):
         if self._report:
             terminal.write_line(f"report: {self._report}")
         if self.options.update:
+            if self.options.require_golden:
+                terminal.write_line(
+                    "--snapshot-update has recorded, and nothing was judged: --cpas-require-golden"
+                    " demands nothing of this run"
+                )
             known = {run.method for run in self.runs}
             known |= {entry.name for entry in registry.registered("method")}
             for folder in orphans(self.options.golden, known):
@@ -369,6 +378,11 @@ class CpasSession(SuiteSession):
                     f"orphaned golden table: no method {folder.parent.name} is registered or was"
                     f" judged; if it is gone, remove {folder}"
                 )
+
+
+def _first_of(run: Run) -> Run:
+    """The run whose contract is that of the method of ``run``."""
+    return (run.shared if isinstance(run, MethodRun) else None) or run
 
 
 def listing_problem(run: Run) -> str:

@@ -6,6 +6,7 @@ turns names into methods, data sets and runs.
 
 from __future__ import annotations
 
+import os
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -123,6 +124,22 @@ class RunOptions:
         named = (*read, self.results, self.save, self.report)
         return [folder for folder in named if folder is not None]
 
+    def check_written(self) -> None:
+        """Raise :class:`ValueError` if one of the folders that are written cannot be."""
+        named = {
+            "--cpas-results": self.results,
+            "--cpas-save-predictions": self._saved_into,
+            "--cpas-report": self.report,
+            "--cpas-golden": self.golden if self.update else None,
+        }
+        for option, folder in named.items():
+            if folder is not None:
+                _check_written(option, folder)
+
+    @property
+    def _saved_into(self) -> Path | None:
+        return self.save.parent if self.save and not self.save.is_dir() else self.save
+
     @property
     def only_for_pictures(self) -> bool:
         """Whether the data sets are there for the report's pictures of merged results."""
@@ -152,6 +169,11 @@ class DatasetOptions:
             pictures=_path(here, options.cpas_pictures),
         )
 
+    def check_written(self) -> None:
+        """As :meth:`RunOptions.check_written`."""
+        if self.pictures is not None:
+            _check_written("--cpas-pictures", self.pictures)
+
 
 @dataclass(frozen=True, kw_only=True)
 class MetricsOptions:
@@ -175,6 +197,7 @@ class MetricsOptions:
         for path in reports:
             if path.suffix not in (".json", ".md"):
                 raise ValueError(f"--cpas-metrics-report {path}: expected .json or .md")
+            _check_written("--cpas-metrics-report", path.parent)
         return cls(
             metrics=tuple(dict.fromkeys(options.cpas_metrics)),
             examples=options.cpas_examples,
@@ -182,6 +205,16 @@ class MetricsOptions:
             update=_update(options),
             reports=reports,
         )
+
+
+def _check_written(option: str, folder: Path) -> None:
+    """Raise :class:`ValueError` if no file could be written into what an option names, which need
+    not be there yet: before a run of hours, not behind it."""
+    place = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
+    if not place.is_dir():
+        raise ValueError(f"{option}: {place} is a file, expected a folder; name another one")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ValueError(f"{option}: nobody lets this user write into {place}; name another folder")
 
 
 def _selection(options: Namespace) -> Selection:

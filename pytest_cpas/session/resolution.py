@@ -132,17 +132,25 @@ def _made(name: str, factory: Callable[[], Method]) -> Method:
         ) from error
 
 
-def open_results(options: RunOptions, runs: Sequence[Run]) -> dict[Run, ResultsFile]:
+def open_results(
+    options: RunOptions, runs: Sequence[Run], *, writes: bool
+) -> dict[Run, ResultsFile]:
     """The results file of each run, with the rows that it holds already; none without a folder.
 
-    Raises :class:`pytest_cpas.evaluation.ResultsError` for one that is damaged or another run's.
+    ``writes``: this process is the one that will. Raises
+    :class:`pytest_cpas.evaluation.ResultsError` for one that is damaged, another run's, or being
+    written.
     """
     if options.results is None:
         return {}
-    return {
+    files = {
         run: ResultsFile(options.results, run, options.shard, reuse_any=options.reuse_any)
         for run in runs
     }
+    if writes:
+        for file in files.values():
+            file.check_free()
+    return files
 
 
 def read_others(options: RunOptions, runs: Sequence[Run]) -> list[RunDocument]:

@@ -96,6 +96,7 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
             if (kept := collected.judged_again.get(ref.id)) is not None:
                 if told := collected.contradiction(row, kept):
                     errors.append(SampleError(told))
+                    result.errors.append((ref.id, told))
                 continue
             result.rows.append(row)
             session.keep(run, row)

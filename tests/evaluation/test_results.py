@@ -206,15 +206,6 @@ def test_every_damage_is_noticed(recorded, pytester):
     assert "nowhere.jsonl: no such file" in usage_error(pytester, "--cpas-merge=nowhere.jsonl")
 
 
-def test_folder_that_cannot_be_written(recorded, pytester):
-    (pytester.path / "file").write_text("")
-    result = recorded("Perfect", "--cpas-results=file/out")
-    assert result.ret == pytest.ExitCode.INTERRUPTED
-    output = result.stdout.str() + result.stderr.str()
-    assert "cannot be written" in output
-    assert "Traceback" not in output
-
-
 def test_full_disk_ends_the_run_and_loses_nothing(recorded, pytester):
     """A limit on the size of files stands for the disk: writing fails half-way through a line."""
     whole = recorded("Perfect", "--cpas-require-golden")

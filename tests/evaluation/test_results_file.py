@@ -131,12 +131,15 @@ def test_second_writer_is_refused(tmp_path):
     for file in (early, ResultsFile(tmp_path, a_run(), WHOLE)):
         with pytest.raises(ResultsError, match="another run is writing it"), file:
             pass
+    with pytest.raises(ResultsError, match="another run is writing it"):
+        ResultsFile(tmp_path, a_run(), WHOLE).check_free()  # before anything is loaded
     done.set()
     writer.join()
     assert writer.exitcode == 0
     with pytest.raises(ResultsError, match="has written it since this one began"), early:
         pass
     assert list(read_results(early.path).rows) == ["s/00"]
+    ResultsFile(tmp_path, a_run(), WHOLE).check_free()
     write(tmp_path, rows())
     assert len(read_results(early.path).rows) == 10
 

@@ -225,7 +225,7 @@ def test_pictures_of_stored_results_with_their_data(report, recorded, pytester, 
 
 
 def test_report_that_cannot_be_written_fails_the_run(recorded, pytester):
-    (pytester.path / "out").write_text("a file")
+    (pytester.path / "out/report.html").mkdir(parents=True)
     result = recorded("Perfect", "--cpas-report=out")
     assert result.ret == 1
     result.stdout.fnmatch_lines(["*out: the report cannot be written*"])

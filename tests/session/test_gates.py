@@ -188,3 +188,11 @@ def test_jitter_without_a_judged_sample_of_a_category(cpas, selection):
     assert result.ret in (0, 1)
     assert "INTERNALERROR" not in result.stdout.str() + result.stderr.str()
     result.stdout.fnmatch_lines(["golden: NOT CHECKED*"])
+
+
+@pytest.mark.parametrize("demands", [True, False])
+def test_recording_says_that_it_demands_nothing(cpas, demands):
+    result = cpas("Perfect", "--snapshot-update", *["--cpas-require-golden"] * demands)
+    assert result.ret == 0
+    told = "--snapshot-update has recorded, and nothing was judged: --cpas-require-golden"
+    assert (told in result.stdout.str()) == demands

@@ -62,6 +62,24 @@ def test_what_is_not_seen_is_found(depends, aside, how):
         [f"*scene_0/0000: its row is reused from *is not what the method answers now*({told})*"]
     )
     assert "Name another folder" in result.stdout.str()
+    # of what another program answered there is no verdict
+    result.stdout.fnmatch_lines(
+        ["0 of 12 samples judged", "rows: *left out (not what the method answers now) 12 from *"]
+    )
+    result.stdout.fnmatch_lines(["golden: NOT CHECKED*"])
+    assert depends(*how)[0].ret == 0, "and the file is as good as before"
+
+
+@pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
+def test_rows_of_a_method_that_breaks_the_contract_are_not_judged(depends, how):
+    """Nothing would be computed, and what was computed before tells nothing of it."""
+    assert depends("--snapshot-update", "-k", "")[0].ret == 0
+    result, _ = depends("-k", "")
+    result.stdout.fnmatch_lines(["rows: reused 12 from *", "*MATCHES*"])
+    result, _ = depends("-k", "", *how, aside="nan")
+    assert result.ret == 1
+    assert "MATCHES" not in result.stdout.str()
+    result.stdout.fnmatch_lines(["rows: *left out (the adapter is wrong) 12 from *"])
 
 
 def test_rows_of_a_part_are_compared_too(depends):

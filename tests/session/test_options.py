@@ -1,12 +1,14 @@
 """What the command line asks for, as plain values; no run of pytest is needed."""
 
 import argparse
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from harness import DeclaredOptions
 
 from pytest_cpas.evaluation import MethodRun, Selection
+from pytest_cpas.session import options as options_module
 from pytest_cpas.session.command_line import add_options
 from pytest_cpas.session.options import DatasetOptions, MetricsOptions, RunOptions
 from pytest_cpas.session.resolution import read_others, resolve_runs
@@ -29,6 +31,39 @@ def test_nothing_is_asked_for_by_default(parse):
     assert RunOptions.of(parse(), HERE, golden=Path("golden")) == expected
     assert MetricsOptions.of(parse(), HERE) == MetricsOptions(metrics=())
     assert DatasetOptions.of(parse(), HERE) == DatasetOptions(datasets=())
+
+
+WRITTEN = (
+    "--cpas-results=",
+    "--cpas-report=",
+    "--cpas-save-predictions=",
+    "--cpas-golden=",
+    "--cpas-pictures=",
+    "--cpas-metrics-report=",
+)
+
+
+@pytest.mark.parametrize("where", ["file", "file/below/it", "sealed", "sealed/below/it"])
+@pytest.mark.parametrize("option", WRITTEN)
+def test_what_cannot_be_written_is_told_before_the_run(parse, tmp_path, monkeypatch, option, where):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "sealed").mkdir()
+    # of root nobody asks
+    monkeypatch.setattr(options_module.os, "access", lambda path, _: Path(path).name != "sealed")
+    inside = "/report.json" * ("metrics" in option) + "/answers.jsonl" * ("save" in option)
+    for place in (where, "there"):
+        read = parse(f"{option}{place}{inside}")
+        read.update_snapshots = True
+        told = "file is a file, expected" if "file" in where else "nobody lets this user write"
+        golden = tmp_path / place if "golden" in option else tmp_path
+        with (
+            pytest.raises(ValueError, match=f"{option[:-1]}: .*{told}")
+            if place == where
+            else nullcontext()
+        ):
+            RunOptions.of(read, tmp_path, golden=golden).check_written()
+            DatasetOptions.of(read, tmp_path).check_written()
+            MetricsOptions.of(read, tmp_path)
 
 
 def test_paths_are_those_of_the_folder_where_pytest_was_started(parse):
