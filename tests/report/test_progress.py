@@ -118,7 +118,7 @@ def test_lines_stand_alone_in_a_terminal(cpas, pytester, how):
     lines = shown.splitlines()
     counts = [int(n) for n in re.findall(r"^cpas: (\d+) of 12 samples", shown, re.M)]
     assert counts == sorted(counts)
-    assert counts[0] == 1
+    assert counts[0] < 12  # with workers several may come at once
     assert counts[-1] == 12
     assert all(line.startswith("cpas: ") for line in lines if "cpas: " in line)
     pattern = r"cpas: \d+ of 12 samples(, \S+( s each)?(, \d+ s left)?)?; perfect on tiny: .* 2 cm"
