@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-from pytest_cpas.reading.text import encodable, everywhere, terminal_line, terminal_lines
+from pytest_cpas.reading.text import encodable_values, terminal_line, terminal_lines
 from pytest_cpas.session.guard import only_shows
 from pytest_cpas.session.options import Granularity
 from pytest_cpas.session.shown import shown_parts
@@ -115,7 +115,7 @@ class SuiteSession(ABC):
             report.__dict__.pop("wasxfail", None)
         report.cpas_failed = failed  # type: ignore[attr-defined]
         if report.when == "call":
-            content = everywhere(encodable, self.item_content(item))
+            content = encodable_values(self.item_content(item))
             report.cpas_content = (self.node, content)  # type: ignore[attr-defined]
         return shown_report(report)
 

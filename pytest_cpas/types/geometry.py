@@ -126,7 +126,9 @@ class Pose:
                 f"rotation: not orthonormal (R @ R.T differs from I by {deviation:.3g}, column"
                 f" norms {norms}); expected a rotation matrix. {_cause(rotation)}"
             )
-        if np.linalg.det(rotation) < 0:
+        # of nine numbers this is several times as fast as numpy's determinant
+        (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+        if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0:
             raise ContractError(
                 "rotation: determinant -1, a reflection (left-handed); expected +1. Usual causes:"
                 " one axis flipped instead of two, a frame change that mirrors"

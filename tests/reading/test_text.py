@@ -2,6 +2,8 @@
 
 import csv
 import io
+import json
+import math
 import re
 
 import pytest
@@ -15,6 +17,7 @@ from pytest_cpas.reading.text import (
     csv_cell,
     csv_text,
     encodable,
+    encodable_values,
     everywhere,
     folded,
     html,
@@ -102,6 +105,15 @@ def test_what_is_harmless_stays_as_it_is():
     assert terminal_lines("a\n\tb\r\nc") == "a\n\tb\nc"
     assert terminal_line("\x1b\n\ud800\u202e") == "\\x1b\\n\\ud800\\u202e"
     assert markdown("real275 at 10 deg, 2 cm") == "real275 at 10 deg, 2 cm"
+
+
+@pytest.mark.parametrize("text", ["plain", "gr\u00f6\u00dfer", "\ud800 alone", "\U0001f600"])
+def test_encodable_values(text):
+    values = {text: [text, (text, 1.5, None, True, math.inf)]}
+    found = encodable_values(values)
+    assert found == everywhere(encodable, values)
+    json.dumps(found, ensure_ascii=False).encode()
+    assert (found is values) == ("\ud800" not in text)
 
 
 def test_everywhere():
