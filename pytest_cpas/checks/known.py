@@ -9,6 +9,8 @@
     [[dataset]]                         # a check of the data set NAME
     check = "depth"
     model = "can_arizona_tea_norm"      # optional, as are sample and category: patterns (* and ?)
+    worst = 0.018                       # optional: what it was seen with, in the check's unit
+    run = "without shape"               # optional: how methods are judged on it, or "left out"
     reason = "The depth measured on this can is 14 mm nearer than its mesh."
 
     [[metric]]                          # a property of the adapter NAME, by --snapshot-update
@@ -24,6 +26,7 @@ not come across fails it. Tables of other names are for people.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -36,7 +39,16 @@ from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.reading.structured import read_toml
 from pytest_cpas.types import DataError, DeclarationError, raised_as, shortened, shown
 
-__all__ = ["KnownFailure", "gone", "known_failures", "read_known", "record_known"]
+__all__ = [
+    "LEFT_OUT",
+    "MEASURING",
+    "WITHOUT_SHAPE",
+    "KnownFailure",
+    "gone",
+    "known_failures",
+    "read_known",
+    "record_known",
+]
 
 #: Entries of a kind.
 _MOST_ENTRIES = 10_000
@@ -45,6 +57,20 @@ Kind = Literal["contract", "dataset", "metric"]
 
 #: What an entry has beside check and reason.
 _PATTERNS = ("sample", "model", "category")
+_OF_DATASETS = (*_PATTERNS, "run")
+
+#: What becomes in a run of the samples that an entry covers; nothing unless it says so.
+LEFT_OUT, WITHOUT_SHAPE = "left out", "without shape"
+
+#: The checks of data sets that measure something, and its unit.
+MEASURING = {
+    "mesh-centred": "metres",
+    "mesh-closed": "open edges",
+    "extents": "metres",
+    "depth": "metres",
+    "masks": "IoU or share",
+    "orientations": "coverage",
+}
 _RECORDED = ("outcome", "case", "snippet")
 
 #: What is known of a method and of an implementation of metrics had files of its own before.
@@ -61,9 +87,10 @@ _OLD_KEYS = {"property": "check", "message": "reason"}
 class KnownFailure:
     """That ``check`` fails, and why that stays: the ``reason``.
 
-    Of a data set's check: problems that match the patterns ``sample``, ``model``, ``category``. Of
-    a metric's property: with which ``outcome`` for which ``case`` (JSON); ``snippet`` shows the
-    calls, ``reason`` is what was seen.
+    Of a data set's check: problems that match the patterns ``sample``, ``model``, ``category`` and
+    are no worse than ``worst``, in the unit of :data:`MEASURING`; ``run``: how a run judges such
+    samples. Of a metric's property: with which ``outcome`` for which ``case`` (JSON); ``snippet``
+    shows the calls, ``reason`` is what was seen.
     """
 
     check: str
@@ -71,17 +98,31 @@ class KnownFailure:
     sample: str = "*"
     model: str = "*"
     category: str = "*"
+    worst: float | None = None
+    run: str = ""
     outcome: Outcome = Outcome.VIOLATED
     case: str = ""
     snippet: str = ""
 
-    def covers(self, problem: object) -> bool:
-        """Whether the ``sample``, ``model`` and ``category`` of a problem match the patterns."""
-        return all(fnmatchcase(getattr(problem, key), getattr(self, key)) for key in _PATTERNS)
+    def matches(self, *, sample: str, model: str, category: str) -> bool:
+        """Whether all patterns match."""
+        there = (sample, model, category)
+        return all(
+            fnmatchcase(found, getattr(self, key))
+            for key, found in zip(_PATTERNS, there, strict=True)
+        )
+
+    def is_no_worse(self, value: float | None, *, least: bool) -> bool:
+        """Whether what a check measured is at most ``worst``, or where less is worse, at ``least``
+        that."""
+        if self.worst is None:
+            return True
+        return value is not None and (value >= self.worst if least else value <= self.worst)
 
     def __str__(self) -> str:
         patterns = [f"{key} {value}" for key in _PATTERNS if (value := getattr(self, key)) != "*"]
-        return " ".join([self.check, *patterns])
+        limit = [] if self.worst is None else [f"worst {self.worst:g}"]
+        return " ".join([self.check, *patterns, *limit])
 
 
 def gone(
@@ -161,7 +202,11 @@ def _tables(path: Path, content: dict[str, Any], kind: Kind) -> list[Any]:
 def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:
     """Raises ValueError."""
     needed = ("check", "reason", *(_RECORDED if kind == "metric" else ()))
-    possible = (*needed, *(_PATTERNS if kind == "dataset" else ()))
+    possible = (*needed, *(_OF_DATASETS if kind == "dataset" else ()))
+    worst = None
+    if kind == "dataset" and isinstance(entry, dict) and "worst" in entry:
+        entry = {**entry}
+        worst = _worst(entry.pop("worst"), entry.get("check"))
     if not isinstance(entry, dict) or not all(isinstance(text, str) for text in entry.values()):
         raise ValueError(f"{shown(entry)}, expected {', '.join(needed)} as text")
     if kind == "metric":
@@ -171,7 +216,12 @@ def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:
         raise ValueError(f"{' and '.join(missing)} missing, expected {', '.join(needed)}")
     if unknown := sorted(entry.keys() - set(possible)):
         raise ValueError(
-            f"{shortened(', '.join(unknown), 100)}, expected some of {', '.join(possible)}"
+            f"{shortened(', '.join(unknown), 100)}, expected some of"
+            f" {', '.join([*possible, *['worst'] * (kind == 'dataset')])}"
+        )
+    if entry.get("run", LEFT_OUT) not in (LEFT_OUT, WITHOUT_SHAPE):
+        raise ValueError(
+            f"run is {shown(entry['run'])}, expected {LEFT_OUT!r} or {WITHOUT_SHAPE!r}"
         )
     if entry["check"] not in checks:
         raise ValueError(
@@ -179,7 +229,19 @@ def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:
         )
     if kind == "metric":
         entry["outcome"] = Outcome(entry["outcome"])
-    return KnownFailure(**entry)
+    return KnownFailure(**entry, worst=worst)
+
+
+def _worst(value: Any, check: Any) -> float:
+    """Raises ValueError."""
+    if check not in MEASURING:
+        raise ValueError(
+            f"worst is of what a check measures, and {shown(check)} measures nothing; those that do"
+            f" are {', '.join(MEASURING)}"
+        )
+    if isinstance(value, bool) or not isinstance(value, float | int) or not math.isfinite(value):
+        raise ValueError(f"worst is {shown(value)}, expected a number ({MEASURING[check]})")
+    return float(value)
 
 
 def record_known(folder: Path, name: str, recorded: Sequence[KnownFailure]) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Any
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.dataset.facts import ImageFacts, MeshFacts, SampleFacts, Survey
 from pytest_cpas.checks.dataset.verdicts import judge
-from pytest_cpas.checks.known import KnownFailure, known_failures, read_known
+from pytest_cpas.checks.known import KnownFailure
 from pytest_cpas.evaluation import Selection
+from pytest_cpas.session.known_faults import known_faults
 from pytest_cpas.types import Dataset, SampleRef, Verdict
 
 __all__ = ["CheckedDataset", "plain_survey"]
@@ -36,11 +36,7 @@ class CheckedDataset:
 
         Raises :class:`pytest_cpas.types.DeclarationError` for a damaged file.
         """
-        folder = Path(inspect.getfile(type(dataset))).parent
-        known = known_failures(folder, dataset.name, "dataset", CHECKS)
-        for path in files:
-            known += read_known(path, "dataset", CHECKS)
-        return cls(dataset, selection.of(dataset.samples), known)
+        return cls(dataset, selection.of(dataset.samples), known_faults(dataset, files))
 
     @property
     def survey(self) -> Survey:

@@ -208,7 +208,8 @@ def add_options(parser: pytest.Parser) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="known faults of the checked data sets, beside those that ship (repeatable)",
+        help="known faults of the data sets that are checked or run, beside those that ship"
+        " (repeatable)",
     )
     group.addoption(
         "--cpas-pictures",

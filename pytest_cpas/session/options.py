@@ -62,6 +62,7 @@ class RunOptions:
     save: Path | None = None
     report: Path | None = None
     others: Sequence[Path] = ()
+    known_faults: Sequence[Path] = ()
 
     @classmethod
     def of(
@@ -109,6 +110,7 @@ class RunOptions:
             save=_path(here, options.cpas_save_predictions),
             report=_path(here, options.cpas_report),
             others=_paths(here, options.cpas_against),
+            known_faults=_paths(here, options.cpas_known_faults),
         )
 
     @property

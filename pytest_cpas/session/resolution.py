@@ -26,6 +26,7 @@ from pytest_cpas.evaluation import (
 )
 from pytest_cpas.report.against import pairs
 from pytest_cpas.report.stored import read_runs
+from pytest_cpas.session.known_faults import without_faults
 from pytest_cpas.session.options import RunOptions
 from pytest_cpas.submissions import DetectedDataset
 from pytest_cpas.types import (
@@ -51,7 +52,10 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     """
     _check_both_sides(options)
     methods = [(name, make_method(name, options.weights)) for name in options.methods]
-    datasets = [registry.open_dataset(name, options.data) for name in options.datasets]
+    datasets = [
+        without_faults(registry.open_dataset(name, options.data), options.known_faults)
+        for name in options.datasets
+    ]
     runs: list[Run] = []
     seen = _seen(datasets, options)
     for (name, make), dataset in itertools.product(methods, seen):

@@ -1,6 +1,7 @@
 """Each sanity check finds its fault, planted in a rendered tree, and no other check does."""
 
 import dataclasses
+import itertools
 import pickle
 import shutil
 from pathlib import Path
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import pytest_cpas.datasets
 from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey, survey
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
 from pytest_cpas.checks.dataset.verdicts import DatasetWord, judge
-from pytest_cpas.checks.known import KnownFailure
+from pytest_cpas.checks.known import MEASURING, KnownFailure, read_known
 from pytest_cpas.datasets.nocs import NocsTree, Real275
 from pytest_cpas.datasets.synthetic import HANDHELD, TABLETOP, generate
 from pytest_cpas.types import Camera, SampleRef
@@ -280,6 +282,10 @@ def test_upright_objects_are_constrained(tmp_path):
     measured = survey(Own(tmp_path / "tree", TABLETOP.camera))
     assert len(measured.samples) >= 20
     assert list(failing(measured)) == ["orientations"]
+    (problem,) = CHECKS["orientations"](measured)
+    for limit, word in ((problem.value, "KNOWN"), (problem.value + 1e-6, "FAILED")):
+        known = KnownFailure(check="orientations", reason="made so", worst=limit)
+        assert judge(measured, "orientations", [known]).word is DatasetWord[word]
 
 
 def test_data_set_that_cannot_be_listed():
@@ -334,6 +340,33 @@ def test_known_faults_are_strict(tree):
     assert judge(measured, "depth", [depth]).word is DatasetWord.FAILED
     part = survey(Own(tree), measured.refs[:3])
     assert judge(part, "depth", [depth]).word is DatasetWord.PASSED
+
+
+@pytest.mark.parametrize("plant", PLANTED, ids=lambda plant: plant.__name__)
+def test_a_known_fault_is_as_large_as_it_was_seen(tree, plant):
+    """Of a check that measures something, one that is worse is a fault of its own."""
+    check, _ = plant(tree)
+    measured = survey(Own(tree))
+    problems = CHECKS[check](measured)
+    assert {problem.value is not None for problem in problems} == {check in MEASURING}
+    if check not in MEASURING:
+        return
+    step = -1e-6 if problems[0].less_is_worse else 1e-6
+    worst = (min if problems[0].less_is_worse else max)(problem.value for problem in problems)
+    for limit, word in ((worst, "KNOWN"), (worst + step, "KNOWN"), (worst - step, "FAILED")):
+        known = KnownFailure(check=check, reason="seen", worst=limit)
+        assert judge(measured, check, [known]).word is DatasetWord[word]
+
+
+def test_shipped_known_faults_are_read_and_narrow():
+    """A fault of depth, masks or poses was seen somewhere, with some size."""
+    folder = Path(pytest_cpas.datasets.__file__).parent
+    read = {path.name: read_known(path, "dataset", CHECKS) for path in folder.glob("*.known.toml")}
+    assert {"real275", "camera25", "real_train"} <= {name.partition(".")[0] for name in read}
+    for fault in itertools.chain(*read.values()):
+        if fault.check in ("depth", "masks", "extents", "mesh-centred"):
+            assert fault.worst is not None
+            assert fault.sample != "*"
 
 
 # -- the real frame -----------------------------------------------------------------------------

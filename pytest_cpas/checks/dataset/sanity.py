@@ -48,12 +48,18 @@ MIN_COVERAGE, MIN_ORIENTATIONS = 1 / 3, 20
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong, and with which sample, model or category (where it is one of them)."""
+    """What is wrong, and with which sample, model or category (where it is one of them).
+
+    ``value``: what was measured, if anything was, in the unit of
+    :data:`pytest_cpas.checks.known.MEASURING`.
+    """
 
     message: str
     sample: str = ""
     model: str = ""
     category: str = ""
+    value: float | None = None
+    less_is_worse: bool = False
 
     def __str__(self) -> str:
         what = ", ".join(filter(None, (self.category, self.model)))
@@ -182,7 +188,7 @@ def check_meshes_centred(survey: Survey) -> list[Problem] | None:
             f" {1000 * MAX_BOX_ERROR:g} mm: box and position would mean different points"
         )
 
-    return _of_meshes(survey, fault)
+    return _of_meshes(survey, fault, lambda mesh: math.hypot(*mesh.centre))
 
 
 def check_meshes_closed(survey: Survey) -> list[Problem] | None:
@@ -204,7 +210,7 @@ def check_meshes_closed(survey: Survey) -> list[Problem] | None:
         ]
         return "; ".join([*holes, f"{mesh.open_edges} edges are open"])
 
-    return _of_meshes(survey, fault)
+    return _of_meshes(survey, fault, lambda mesh: mesh.open_edges)
 
 
 def check_extents(survey: Survey) -> list[Problem] | None:
@@ -221,6 +227,7 @@ def check_extents(survey: Survey) -> list[Problem] | None:
             facts,
             f"extents differ from the mesh's box by {1000 * error:.1f} mm, expected at most"
             f" {1000 * MAX_BOX_ERROR:g} mm; are axes exchanged, or are they half extents?",
+            error,
         )
         for error, facts in sorted(judged, key=lambda pair: -pair[0])
         if error > MAX_BOX_ERROR
@@ -241,6 +248,7 @@ def check_depth(survey: Survey) -> list[Problem] | None:
             facts,
             f"the median |measured - rendered| depth is {1000 * residual:.1f} mm (median"
             f" difference {1000 * offset:+.1f} mm), expected at most {1000 * MAX_RESIDUAL:g} mm",
+            residual,
         )
         for residual, offset, facts in sorted(judged, key=lambda entry: -entry[0])
         if residual > MAX_RESIDUAL
@@ -256,10 +264,11 @@ def check_masks(survey: Survey) -> list[Problem] | None:
     for facts, image in judged:
         if image.iou is not None and image.iou < MIN_IOU:
             message = f"IoU with the rendered silhouette is {image.iou:.2f}, expected {MIN_IOU}"
-            found.append((image.iou, _problem(facts, message)))
+            found.append((image.iou, _problem(facts, message, image.iou, less_is_worse=True)))
         elif image.iou is None and image.overlap < MIN_OVERLAP:
             message = f"{image.overlap:.0%} of it in the projected box, expected {MIN_OVERLAP:.0%}"
-            found.append((image.overlap, _problem(facts, message)))
+            problem = _problem(facts, message, image.overlap, less_is_worse=True)
+            found.append((image.overlap, problem))
     return [problem for _, problem in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -278,7 +287,9 @@ def check_orientations(survey: Survey) -> list[Problem] | None:
         Problem(
             f"the up axes of {spread.count} samples come within {REACH:.0f} deg of"
             f" {spread.coverage:.0%} of what uniform orientations reach (expected"
-            f" {MIN_COVERAGE:.0%}); their mean resultant length is {spread.resultant:.3f}"
+            f" {MIN_COVERAGE:.0%}); their mean resultant length is {spread.resultant:.3f}",
+            value=spread.coverage,
+            less_is_worse=True,
         )
     ]
 
@@ -316,15 +327,22 @@ CHECKS: dict[str, Check] = {
 }
 
 
-def _problem(facts: SampleFacts, message: str) -> Problem:
-    return Problem(message, facts.sample, facts.model, facts.category)
+def _problem(
+    facts: SampleFacts, message: str, value: float | None = None, *, less_is_worse: bool = False
+) -> Problem:
+    where = facts.sample, facts.model, facts.category
+    return Problem(message, *where, value=value, less_is_worse=less_is_worse)
 
 
-def _of_meshes(survey: Survey, fault: Callable[[MeshFacts], str]) -> list[Problem] | None:
+def _of_meshes(
+    survey: Survey,
+    fault: Callable[[MeshFacts], str],
+    value: Callable[[MeshFacts], float | None] = lambda _: None,
+) -> list[Problem] | None:
     if not survey.meshes:
         return None
     return [
-        Problem(message, "" if mesh.model else mesh.sample, mesh.model, mesh.category)
+        Problem(message, "" if mesh.model else mesh.sample, mesh.model, mesh.category, value(mesh))
         for mesh in sorted(survey.meshes.values(), key=lambda mesh: mesh.model or mesh.sample)
         if (message := fault(mesh))
     ]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pytest_cpas._deprecation import deprecated
-from pytest_cpas.checks.dataset import CHECKS
+from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey
 from pytest_cpas.checks.known import KnownFailure, gone
 from pytest_cpas.types import Verdict, VerdictWord
@@ -37,8 +37,8 @@ def judge(survey: Survey, check: str, known: Sequence[KnownFailure] = ()) -> Ver
     if problems is None:
         return Verdict(DatasetWord.NOT_APPLICABLE, check)
     known = [fault for fault in known if fault.check == check]
-    new = [p for p in problems if not any(fault.covers(p) for fault in known)]
-    happened = [fault for fault in known if any(fault.covers(p) for p in problems)]
+    new = [p for p in problems if not any(_covers(fault, p) for fault in known)]
+    happened = [fault for fault in known if any(_covers(fault, p) for p in problems)]
     lines = [str(problem) for problem in new[:_NAMED]]
     if len(new) > _NAMED:
         counts = Counter(problem.model or problem.category for problem in new)
@@ -55,6 +55,11 @@ def judge(survey: Survey, check: str, known: Sequence[KnownFailure] = ()) -> Ver
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return Verdict(DatasetWord.KNOWN, check, f"{problems[0]}{more}. Known: {reasons}")
     return Verdict(DatasetWord.PASSED, check)
+
+
+def _covers(fault: KnownFailure, problem: Problem) -> bool:
+    where = {"sample": problem.sample, "model": problem.model, "category": problem.category}
+    return fault.matches(**where) and fault.is_no_worse(problem.value, least=problem.less_is_worse)
 
 
 if not TYPE_CHECKING:  # a type checker would take every name for one that there is
