@@ -90,8 +90,8 @@ def robust_umeyama(source: Array, target: Array, generator: np.random.Generator)
     best = int(np.argmax(ratio[:tried]))
     if ratio[best] < LEAST_INLIERS:
         raise NoSimilarityError(
-            f"no pose fits the correspondences: {100 * ratio[best]:.1f} % of {len(source)} agree"
-            f" with the best of {tried}, expected {100 * LEAST_INLIERS:.0f} %"
+            f"no pose fits the correspondences: {np.count_nonzero(inliers[best])} of {len(source)}"
+            f" agree with the best of {tried}, expected {100 * LEAST_INLIERS:.0f} % at least"
         )
     fitted = umeyama(source[inliers[best]], target[inliers[best]])
     if not fitted.scale > 0:

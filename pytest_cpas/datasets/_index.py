@@ -103,10 +103,11 @@ class Scan:
         content: dict[str, Any] = parse_json(self.root / path, self.read(path))
         return content
 
-    def weigh(self, path: str) -> None:
-        """Add a file's path and size, which are had without reading it, to the digest."""
+    def weigh(self, path: str, name: str = "") -> None:
+        """Add a file's path and size, which are had without reading it, to the digest; ``name``:
+        its path in the published layout, where people have others."""
         stamp = self.see(path)
-        self.note(f"{path} {stamp and stamp[-1]}\n")
+        self.note(f"{name or path} {stamp and stamp[-1]}\n")
 
     def image_size(self, path: str) -> tuple[int, int]:
         """Width and height of an image, which is not decoded."""

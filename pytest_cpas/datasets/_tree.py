@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from abc import abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,9 +60,20 @@ def find_root(name: str, data_dir: Path | None, mark: str, *folders: str) -> Pat
 
     Raises :class:`FileNotFoundError` that says how to get the data set ``name``.
     """
+    return find_marked(name, data_dir, [mark], *folders)[0]
+
+
+def find_marked(
+    name: str, data_dir: Path | None, marks: Sequence[str], *folders: str
+) -> tuple[Path, str]:
+    """As :func:`find_root`, of a data set that people have in several layouts: the first of
+    ``marks`` that there is tells which one, and is given back as well."""
     roots = [] if data_dir is None else [data_dir, *(data_dir / n for n in (name, *folders))]
     for root in roots:
-        if (root / mark).exists():
-            return root
-    lack = f"no {mark} in {data_dir}" if data_dir else f"{name} needs a folder (--cpas-data)"
+        for mark in marks:
+            if (root / mark).exists():
+                return root, mark
+    lack = f"no {' or '.join(marks)} in {data_dir}"
+    if data_dir is None:
+        lack = f"{name} needs a folder (--cpas-data)"
     raise FileNotFoundError(f"{lack}.\n{how_to_get(name)}")

@@ -10,6 +10,8 @@
     obj_models/real_test/MODEL.{obj,txt}  mesh in metres and its extents; bottoms are missing
     fixed_real_test_obj_models/MODEL.obj  closed meshes, released with the paper's toolbox
 
+``Real/test`` may stand for ``real_test``, as in SPD (mentian/object-deformnet) and its followers.
+
 ``gt_RTs`` belong to the objects of whose id the mask has pixels, ascending, distractors left out:
 in seven frames (scene_1/0198 to 0204) the meta file lists one that is hidden, and has no pose. So
 there are 16118 objects, and 16125 lines of meta files. A frame of which it cannot be told whose the
@@ -37,7 +39,7 @@ from numpy.typing import NDArray
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._nocs_poses import read_poses, seen_instead
 from pytest_cpas.datasets._tree import Tree, find_root
-from pytest_cpas.reading.files import read_text
+from pytest_cpas.reading.files import decoded, read_text
 from pytest_cpas.reading.images import read_ids
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.reading.numbers import numbers
@@ -98,17 +100,22 @@ class NocsTree(Tree):
     camera: Camera
     published_axes = NOCS_FROM_SHAPENET
 
-    #: The folder of the frames, the lines of a meta file, and where a model's mesh may be.
-    frames = "real_test"
+    #: The folder of its models, where its frames may be (as published, and as SPD and those who
+    #: followed it have them), the lines of a meta file, and where a model's mesh may be.
+    models = "real_test"
+    layouts: tuple[str, ...] = ("real_test", "Real/test")
     meta = "mask_id class_id model"
     meshes: tuple[str, ...] = (
         "fixed_real_test_obj_models/{model}.obj",
         "obj_models/real_test/{model}.obj",
     )
+    #: Whether a file beside a mesh has its extents.
+    has_extents = True
 
-    def __init__(self, name: str, root: Path, camera: Camera) -> None:
-        """Index the tree."""
-        self.camera = camera  # making the index needs it
+    def __init__(self, name: str, root: Path, camera: Camera, frames: str = "") -> None:
+        """Index the tree; ``frames``: which of :attr:`layouts` it has, the first by default."""
+        # making the index needs them
+        self.camera, self.frames = camera, frames or self.layouts[0]
         super().__init__(name, root)
         self._poses = functools.lru_cache(maxsize=64)(read_poses)
         self._mesh = functools.cache(self._read_mesh)
@@ -174,7 +181,7 @@ class NocsTree(Tree):
             meta = f"{self.frames}/{frame}_meta.txt"
             if not scan.has(meta):
                 return [(frame, self._read_classes(scan, frame))]
-            text = scan.read(meta).decode("utf-8", "replace")
+            text = decoded(Path(meta), scan.read(meta), "replace")
             self._scan_truth(scan, frame)
             return [(frame, self._posed(scan, frame, self._read_meta(frame, text)))]
         except ContractError as error:
@@ -268,11 +275,13 @@ class NocsTree(Tree):
             if found:
                 scan.note(model)
                 scan.hash(found[0])
-            elif scan.has(_extents_path(self.frames, model)):
-                scan.hash(_extents_path(self.frames, model))
+            elif self.has_extents and scan.has(_extents_path(self.models, model)):
+                scan.hash(_extents_path(self.models, model))
                 scan.missing.append(f"mesh {model}.obj: shape metrics of {count} samples are n/a")
             else:
-                scan.missing.append(f"mesh {model}.obj and .txt: {count} samples left out")
+                lost = self.meshes[-1].format(model=model)
+                extents = f" and {model}.txt" * self.has_extents
+                scan.missing.append(f"mesh {lost}{extents}: {count} samples left out")
                 left_out.add(model)
             if found and found[0] != self.meshes[0].format(model=model):
                 original.append(model)
@@ -374,7 +383,7 @@ class NocsTree(Tree):
                 mesh = read_mesh(path, NOCS_FROM_SHAPENET.T)
                 low, high = mesh.bounds
                 return mesh, high - low
-        path = self.root / _extents_path(self.frames, model)
+        path = self.root / _extents_path(self.models, model)
         extents = numbers(read_text(path).split(), (3,), f"{path}: extents in metres")
         return None, permute_extents(extents, NOCS_FROM_SHAPENET.T)
 
@@ -385,7 +394,8 @@ class Real275(NocsTree):
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/real275``; FileNotFoundError says how."""
         root = find_root("real275", data_dir, "gts/real_test")
-        super().__init__("real275", root, REAL_CAMERA)
+        there = [frames for frames in self.layouts if (root / frames).exists()]
+        super().__init__("real275", root, REAL_CAMERA, there[0] if there else "")
 
     def _frames(self, scan: Scan) -> list[str]:
         """Those of which there is an image or the truth."""

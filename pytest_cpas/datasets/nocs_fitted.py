@@ -8,6 +8,9 @@
     real_train/scene_S/NNNN_{color,depth,mask,coord}.png, NNNN_meta.txt
     obj_models/real_train/MODEL.{obj,txt}
 
+``CAMERA/val`` and ``Real/train`` may stand for ``val`` and ``real_train``, as in SPD and its
+followers.
+
 No poses are published for real_train, and some of those published for CAMERA25 are wrong
 (``nocs_dataset.py`` of the paper's toolbox). As there, a pose is the similarity transform from the
 NOCS map, in ``coord.png``, to the measured points: red, green and blue are x, y and 1 - z, in 0..1
@@ -30,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._tree import find_root
+from pytest_cpas.datasets._tree import find_marked
 from pytest_cpas.datasets.nocs import REAL_CAMERA, Listed, NocsTree, symmetry_of
 from pytest_cpas.reading.images import read_depth, read_ids, read_rgb
 from pytest_cpas.reading.meshes import read_mesh
@@ -65,9 +68,10 @@ class FittedTree(NocsTree):
     #: Where a frame's depth is.
     depth = "{frames}/{frame}_depth.png"
 
-    def __init__(self, name: str, root: Path, camera: Camera) -> None:
-        """Index the tree."""
-        super().__init__(name, root, camera)
+    def __init__(self, name: str, data_dir: Path | None, camera: Camera) -> None:
+        """Find the tree in ``data_dir``, or ``name`` or ``real275`` in it, and index it."""
+        root, frames = find_marked(name, data_dir, self.layouts, "real275")
+        super().__init__(name, root, camera, frames)
         self._read_coord = functools.lru_cache(maxsize=2)(read_rgb)
 
     def _files(self, frame: str) -> dict[str, str]:
@@ -76,15 +80,19 @@ class FittedTree(NocsTree):
             f"{kind} ({self.frames}/SCENE/NNNN_{kind})": f"{stem}_{kind}"
             for kind in ("color.png", "mask.png", "coord.png", "meta.txt")
         }
-        return {**files, "depth": self._depth_path(frame)}
+        depth = self.depth.format(frames=self.frames, frame="SCENE/NNNN")
+        return {**files, f"depth ({depth})": self._depth_path(frame)}
 
     def _depth_path(self, frame: str) -> str:
         return self.depth.format(frames=self.frames, frame=frame)
 
     def _scan_truth(self, scan: Scan, frame: str) -> None:
-        for path in (f"{self.frames}/{frame}_mask.png", self._depth_path(frame)):
-            scan.weigh(path)
-        scan.weigh(f"{self.frames}/{frame}_coord.png")
+        published = self.layouts[0]
+        for kind in ("mask", "coord"):
+            end = f"{frame}_{kind}.png"
+            scan.weigh(f"{self.frames}/{end}", f"{published}/{end}")
+        depth = self.depth.format(frames=published, frame=frame)
+        scan.weigh(self._depth_path(frame), depth)
 
     def _posed(self, scan: Scan, frame: str, listed: list[Listed]) -> list[Listed]:
         """All of them: poses are fitted."""
@@ -164,27 +172,28 @@ class FittedTree(NocsTree):
 class RealTrain(FittedTree):
     """The seven training scenes of REAL."""
 
-    frames = "real_train"
+    models = "real_train"
+    layouts = ("real_train", "Real/train")
     meshes = ("obj_models/real_train/{model}.obj",)
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir``, or ``real_train`` or ``real275`` in it."""
-        root = find_root("real_train", data_dir, self.frames, "real275")
-        super().__init__("real_train", root, REAL_CAMERA)
+        super().__init__("real_train", data_dir, REAL_CAMERA)
 
 
 class Camera25(FittedTree):
     """CAMERA25: the validation split of CAMERA, 25000 images when complete."""
 
-    frames = "val"
+    models = "val"
+    layouts = ("val", "CAMERA/val")
     meta = "mask_id class_id synset model"
     meshes = ("obj_models/val/{model}/model.obj",)
-    depth = "camera_full_depths/{frames}/{frame}_composed.png"
+    depth = "camera_full_depths/val/{frame}_composed.png"
+    has_extents = False
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir``, or ``camera25`` or ``real275`` in it."""
-        root = find_root("camera25", data_dir, self.frames, "real275")
-        super().__init__("camera25", root, CAMERA_CAMERA)
+        super().__init__("camera25", data_dir, CAMERA_CAMERA)
         self._unit_mesh = functools.cache(self._read_unit_mesh)
 
     @raised_as(DataError)

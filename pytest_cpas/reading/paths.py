@@ -8,18 +8,26 @@ from pathlib import Path, PurePosixPath
 
 from pytest_cpas.types import DataError
 
+#: What systems write beside files that people copy: resource forks, views of folders, thumbnails.
+_OF_SYSTEMS = re.compile(r"\._.*|\.DS_Store|Thumbs\.db|desktop\.ini|__MACOSX", re.IGNORECASE)
+
 
 def names(folder: Path) -> set[str]:
-    """What a folder holds; nothing if there is no such folder.
+    """What a folder holds, but for what systems write; nothing if there is no such folder.
 
     Raises :class:`DataError` for a folder that may not be listed.
     """
     try:
-        return set(os.listdir(folder))
+        return {name for name in os.listdir(folder) if not _OF_SYSTEMS.fullmatch(name)}
     except (FileNotFoundError, NotADirectoryError):
         return set()
     except (OSError, ValueError) as error:
         raise DataError(f"{folder}: cannot be listed ({error})") from error
+
+
+def matching(folder: Path, pattern: str) -> list[Path]:
+    """The paths in a folder that match a pattern, in order, but for what systems write."""
+    return sorted(path for path in folder.glob(pattern) if not _OF_SYSTEMS.fullmatch(path.name))
 
 
 def natural(name: str) -> list[str]:

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from pytest_cpas.reading.files import regular
+from pytest_cpas.reading.paths import matching
 from pytest_cpas.reading.pickles import load_pickle
 from pytest_cpas.submissions import nocs
 from pytest_cpas.submissions.frame_lists import name_of_path
@@ -111,7 +112,7 @@ def _dict(value: Any, where: str) -> Mapping[str, Any]:
 
 def _truths(path: Path) -> Mapping[Any, Any] | None:
     """PACE's truth beside a file; None where it is not there."""
-    files = sorted(path.parent.glob(TRUTH))
+    files = matching(path.parent, TRUTH)
     if len(files) > 1:
         raise DataError(
             f"{path}: {files[0].name} and {files[1].name} are beside it; leave the one that it"

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.reading.files import regular
+from pytest_cpas.reading.paths import matching
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.submissions.answers import counted_otherwise, names
 from pytest_cpas.submissions.frames import Answers, Image, Submission
@@ -226,7 +227,7 @@ def _contradictions(found: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
 def _files(folder: Path) -> list[Path]:
     if not os.path.isdir(folder):  # which takes names that are too long
         raise DataError(f"{folder}: not a folder, expected one with a detector's pickle per image")
-    files = sorted(folder.glob("*.pkl"))
+    files = matching(folder, "*.pkl")
     if not 0 < len(files) <= _MOST_IMAGES:
         raise DataError(
             f"{folder}: {len(files)} .pkl files, expected 1 to {_MOST_IMAGES}: the results of a"

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pytest_cpas.reading.files import opened
+from pytest_cpas.reading.paths import matching
 from pytest_cpas.reading.structured import LARGEST_JSON, json_value
 from pytest_cpas.submissions.frames import Answers, Image, Submission
 from pytest_cpas.submissions.jsonl import FORMAT, VERSION, Header
@@ -92,7 +93,7 @@ def read(path: Path) -> Submission:
 
     Raises :class:`DataError` naming the line that is damaged.
     """
-    files = sorted(path.glob("*.jsonl")) if os.path.isdir(path) else [path]
+    files = matching(path, "*.jsonl") if os.path.isdir(path) else [path]
     first: Header | None = None
     images: dict[str, _Rows] = defaultdict(_Rows)
     seen: dict[str, str] = {}

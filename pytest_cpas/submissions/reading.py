@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_cpas.reading.paths import matching
 from pytest_cpas.submissions import bop_csv, by_image, jsonl_reading, matrices, nocs, pickled
 from pytest_cpas.submissions.frames import Image, Objects, Submission
 from pytest_cpas.types import CATEGORIES, Array, DataError, Dataset, some_of
@@ -29,7 +30,7 @@ def read_submission(path: Path, dataset: Dataset | None = None) -> Submission:
     known.
     """
     # which says itself what its classes and axes are
-    is_folder = os.path.isdir(path) and any(path.glob("*.jsonl"))
+    is_folder = os.path.isdir(path) and any(matching(path, "*.jsonl"))
     if is_folder and (others := [file for file in _files(path) if file.suffix in _FORMS]):
         raise DataError(
             f"{path}: it holds .jsonl files and {some_of(_names(path, others))}; name one of them,"
@@ -72,7 +73,7 @@ def _read(path: Path, dataset: Dataset | None) -> Submission:
     classes = CATEGORIES if dataset is None else dataset.class_names
     if os.path.isdir(path):  # which takes names that are too long
         files = list(_files(path))
-        if any(path.glob(by_image.TRUTH)) and len(found := list(path.glob("*_pred.pkl"))) == 1:
+        if any(matching(path, by_image.TRUTH)) and len(found := matching(path, "*_pred.pkl")) == 1:
             return pickled.read(found[0], dataset)
         if pickles := [file for file in files if file.suffix == ".pkl"]:
             return pickled.read_folder(path, pickles, classes)

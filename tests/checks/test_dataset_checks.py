@@ -170,6 +170,14 @@ def depth_that_is_off(tree):
     return "depth", "median difference +2"
 
 
+def depth_in_another_unit(tree):
+    edit_image(tree / STEM, lambda depth: (depth * 10).astype(depth.dtype))
+    return (
+        "depth",
+        "is about 10 times as far as the object: is a step of the depth image of another",
+    )
+
+
 def mask_of_a_part(tree):
     def change(mask):
         columns = np.flatnonzero((mask == 1).any(axis=0))
@@ -202,6 +210,7 @@ PLANTED = [
     mesh_without_bottom,
     mesh_inside_out,
     depth_that_is_off,
+    depth_in_another_unit,
     mask_of_a_part,
     frame_twice,
 ]

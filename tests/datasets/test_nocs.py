@@ -54,6 +54,36 @@ def test_parent_folder_is_accepted(tree):
     assert len(Real275(tree / "all").samples) == 4
 
 
+def test_the_layout_of_spd_is_the_same_data(tree):
+    first = Real275(tree)
+    masks = [first.load(ref).observation.mask for ref in first.samples]
+    (tree / "Real").mkdir()
+    (tree / "real_test").rename(tree / "Real/test")
+    second = Real275(tree)
+    assert (second.samples, second.digest) == (first.samples, first.digest)
+    assert (second.missing, second.damaged) == ([], [])
+    assert np.array_equal([second.load(ref).observation.mask for ref in second.samples], masks)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda text: b"\xef\xbb\xbf" + text,
+        lambda text: text + b"\n\n",
+        lambda text: text.replace(b"\n", b"\r\n") + b"\r\n",
+        lambda text: text.rstrip(b"\n"),
+        lambda text: text.replace(b" ", b"  "),
+    ],
+    ids=["BOM", "blank lines", "CRLF", "no end", "spaces"],
+)
+def test_meta_files_as_editors_leave_them(tree, edit):
+    first = Real275(tree)
+    for path in (tree / "real_test/scene_1").glob("*_meta.txt"):
+        path.write_bytes(edit(path.read_bytes()))
+    second = Real275(tree)
+    assert (second.samples, second.damaged) == (first.samples, [])
+
+
 def test_digest_tells_contents_apart(tree):
     first = Real275(tree).digest
     assert Real275(tree).digest == first
@@ -96,7 +126,7 @@ def test_missing_mesh(tree):
     np.testing.assert_allclose(truth.extents, EXTENTS_NOCS[[2, 1, 0]])
     (tree / "obj_models/real_test/mug_a.txt").unlink()
     data = Real275(tree)
-    assert data.missing == ["mesh mug_a.obj and .txt: 2 samples left out"]
+    assert data.missing == ["mesh obj_models/real_test/mug_a.obj and mug_a.txt: 2 samples left out"]
     assert {s.category for s in data.samples} == {"bowl"}
 
 

@@ -86,6 +86,37 @@ def test_poses_are_those_that_were_rendered(tmp_path: Path, write, load) -> None
         check(data.load(ref), made, index, angle=0.3, distance=0.001)
 
 
+@pytest.mark.parametrize(
+    ("write", "load", "published", "other"),
+    [
+        (write_camera25, Camera25, "val", "CAMERA/val"),
+        (write_real_train, RealTrain, "real_train", "Real/train"),
+    ],
+)
+def test_the_layout_of_spd_is_the_same_data(tmp_path: Path, write, load, published, other) -> None:
+    write(tmp_path)
+    first = load(tmp_path)
+    poses = [first.load(ref).truth.pose.matrix for ref in first.samples]
+    (tmp_path / other).parent.mkdir()
+    (tmp_path / published).rename(tmp_path / other)
+    second = load(tmp_path)
+    assert (second.samples, second.digest) == (first.samples, first.digest)
+    assert (second.missing, second.damaged) == (first.missing, [])
+    assert np.array_equal([second.load(ref).truth.pose.matrix for ref in second.samples], poses)
+
+
+def test_what_lacks_is_called_as_it_is_published(tmp_path: Path) -> None:
+    write_camera25(tmp_path)
+    (tmp_path / "camera_full_depths/val/00001/0003_composed.png").unlink()
+    (tmp_path / "obj_models/val/02880940/b/model.obj").unlink()
+    assert sorted(Camera25(tmp_path).missing) == [
+        "1 frames without depth (camera_full_depths/val/SCENE/NNNN_composed.png), first 00001/0003:"
+        " left out",
+        "1 objects with fewer than 30 pixels of depth, first 00000/0003/2: left out",
+        "mesh obj_models/val/02880940/b/model.obj: 1 samples left out",
+    ]
+
+
 def test_what_is_hidden_is_left_out_and_counted(tmp_path: Path) -> None:
     write_camera25(tmp_path)
     (line,) = Camera25(tmp_path).missing

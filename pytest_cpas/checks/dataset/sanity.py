@@ -247,12 +247,25 @@ def check_depth(survey: Survey) -> list[Problem] | None:
         _problem(
             facts,
             f"the median |measured - rendered| depth is {1000 * residual:.1f} mm (median"
-            f" difference {1000 * offset:+.1f} mm), expected at most {1000 * MAX_RESIDUAL:g} mm",
+            f" difference {1000 * offset:+.1f} mm), expected at most {1000 * MAX_RESIDUAL:g} mm"
+            f"{_other_unit(facts.distance, offset)}",
             residual,
         )
         for residual, offset, facts in sorted(judged, key=lambda entry: -entry[0])
         if residual > MAX_RESIDUAL
     ]
+
+
+def _other_unit(distance: float, offset: float) -> str:
+    """What tells of a depth image whose steps are another unit than the reader takes."""
+    ratio = (distance + offset) / distance
+    for unit in (0.001, 0.01, 0.1, 10, 100, 1000):
+        if unit / 1.5 < ratio < unit * 1.5:
+            return (
+                f"; what was measured is about {unit:g} times as far as the object: is a step of"
+                " the depth image of another length?"
+            )
+    return ""
 
 
 def check_masks(survey: Survey) -> list[Problem] | None:
