@@ -180,6 +180,17 @@ def wrong_boxes(evidence: Evidence) -> list[Mistake]:
             ("cm", "in centimetres", " / 100", 0.01),
         )
     ]
+    found.append(
+        Mistake(
+            "extents-scaled-twice",
+            "your extents are multiplied by the diagonal of the box once more, as sizes in metres"
+            " are beside a pose that has a scale",
+            "that length divided out",
+            "Hypothesis(rotation=rotation, translation=translation, extents=extents /"
+            " np.sqrt(np.linalg.norm(extents)), ...), or rather sizes relative to the scale",
+            _sized(lambda e: e / np.sqrt(np.linalg.norm(e, axis=1, keepdims=True))),
+        )
+    )
     found += [
         Mistake(
             f"extents-order-{''.join('xyz'[i] for i in order)}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -24,6 +25,7 @@ class Mistake:
     ``undo`` takes the answers in the frames that the method declared. ``turn`` (3, 3) is set for
     another object frame, whose ``undo`` it stands for: what leads there from ShapeNet's.
     ``fitted``: it has a number that was estimated, so it always explains a little more.
+    ``numbers``: what to change where ``fix`` is a declaration, and there is a file alone.
     """
 
     name: str
@@ -33,6 +35,22 @@ class Mistake:
     undo: Undo
     turn: Array | None = None
     fitted: bool = False
+    numbers: str = ""
+
+    @property
+    def fix_of_numbers(self) -> str:
+        """The fix in terms of the numbers that are answered, without the call they are put in."""
+        return self.numbers or _of_numbers(self.fix)
+
+
+def _of_numbers(fix: str) -> str:
+    match = re.fullmatch(r"(.*?)Hypothesis\((.*), \.\.\.\)(.*)", fix)
+    if match is None:
+        return fix
+    before, arguments, after = match.groups()
+    parts = (part.split("=", 1) for part in re.split(r", (?=\w+=)", arguments))
+    changed = "; ".join(f"{name} = {value}" for name, value in parts if name != value)
+    return f"{before}{changed}{after}"
 
 
 # -- how the rotation was read ---------------------------------------------------------------
@@ -114,15 +132,14 @@ def cameras(evidence: Evidence) -> list[Mistake]:
                 continue
             change = declared.T @ axes
             which = f"the camera frame of your {part}" if part else "your camera frame"
+            turned = f"turn = {code(change)}; Hypothesis(rotation=turn @ rotation,"
+            turned += " translation=turn @ translation, ...)"
             if part:
                 fix = f"{part} = {code(change)} @ {part}"
             elif name in ("opencv", "opengl"):
                 fix = f'camera_frame="{name}" in MethodInfo'
             else:
-                fix = (
-                    f"turn = {code(change)}; Hypothesis(rotation=turn @ rotation,"
-                    f" translation=turn @ translation, ...)"
-                )
+                fix = turned
             found.append(
                 Mistake(
                     f"camera-frame-{name}" + (f"-{part}" if part else ""),
@@ -130,6 +147,7 @@ def cameras(evidence: Evidence) -> list[Mistake]:
                     "that one rotation",
                     fix,
                     _in_camera(change, part),
+                    numbers="" if part else _of_numbers(turned),
                 )
             )
     known = [declared.T @ axes for _, axes in _CAMERAS.values()]
@@ -186,6 +204,7 @@ def object_frames(evidence: Evidence) -> list[Mistake]:
             f'object_frame="{name}" in MethodInfo',
             _in_object(turn @ evidence.axes.T),
             turn,
+            numbers=_of_numbers(_in_axes(turn @ evidence.axes.T)),
         )
         for name, turn in named.items()
         if name != own
@@ -195,21 +214,24 @@ def object_frames(evidence: Evidence) -> list[Mistake]:
             continue
         change = turn @ evidence.axes.T
         directions = ", ".join(_direction(row) for row in turn)
-        order = (np.abs(change.T) @ np.arange(3)).astype(int).tolist()
-        sized = "" if order == [0, 1, 2] else f", extents[{order}]"
         found.append(
             Mistake(
                 f"object-frame({directions.replace(' ', '')})",
                 f"your object frame is not {owners[own]}: your x, y, z point along ShapeNet's"
                 f" {directions}",
                 "that one rotation",
-                f"Hypothesis(rotation=rotation @ {code(change)},"
-                f" translation=translation{sized}, ...)",
+                _in_axes(change),
                 _in_object(change),
                 turn,
             )
         )
     return found
+
+
+def _in_axes(change: Array) -> str:
+    order = (np.abs(change.T) @ np.arange(3)).astype(int).tolist()
+    sized = "" if order == [0, 1, 2] else f", extents=extents[{order}]"
+    return f"Hypothesis(rotation=rotation @ {code(change)}, translation=translation{sized}, ...)"
 
 
 def _strangeness(change: Array) -> tuple[bool, float]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from pytest_cpas.diagnosis.evidence import BOX_IOU, Evidence
 from pytest_cpas.diagnosis.search import Explanation, diagnose
-from pytest_cpas.evaluation import Row, Run
+from pytest_cpas.evaluation import Row, Run, StoredRun
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.facts import Facts
 from pytest_cpas.golden import RunTable
@@ -98,7 +99,7 @@ def diagnose_run(
             continue
         if truth is not None:
             answered.append((ref, row.estimate, truth))
-    return diagnose(
+    found = diagnose(
         Evidence.of(
             [ref.category for ref, _, _ in answered],
             decode_estimates([estimate for _, estimate, _ in answered]),
@@ -109,3 +110,4 @@ def diagnose_run(
             scenes=[ref.scene for ref, _, _ in answered],
         )
     )
+    return [replace(each, of_file=isinstance(run, StoredRun)) for each in found]

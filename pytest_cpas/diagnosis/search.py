@@ -68,7 +68,9 @@ _MEASURES: dict[Part, str] = {
 @dataclass(frozen=True)
 class Explanation:
     """Mistakes that explain wrong answers of a ``category`` (or "all"), with the counts of samples
-    correct ``before`` and ``after`` they are undone; ``ties`` names what would explain as much."""
+    correct ``before`` and ``after`` they are undone; ``ties`` names what would explain as much;
+    ``of_file``: there is no code of a method to change, but what writes a file of answers.
+    """
 
     category: str
     part: Part
@@ -76,6 +78,7 @@ class Explanation:
     before: Count
     after: Count
     ties: tuple[str, ...] = ()
+    of_file: bool = False
 
     @property
     def name(self) -> str:
@@ -94,7 +97,9 @@ class Explanation:
             f" ({self.after.correct} of {self.after.total}, before {self.before.correct};"
             f" {_MEASURES[self.part]})"
         ]
-        lines += [f"  change: {mistake.fix}" for mistake in self.mistakes]
+        for mistake in self.mistakes:
+            fix = mistake.fix_of_numbers if self.of_file else mistake.fix
+            lines.append(f"  change{' where the file is written' * self.of_file}: {fix}")
         if self.ties:
             lines.append(f"  these samples cannot tell it from {some_of(self.ties)}")
         return lines

@@ -1,5 +1,6 @@
 """Answers of a published method, rewritten as adapters get them wrong: each mistake is named."""
 
+import re
 from collections import Counter
 from dataclasses import replace
 from functools import cache
@@ -9,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas.diagnosis import Evidence, diagnose
+from pytest_cpas.diagnosis.mistakes import READINGS, cameras, object_frames, units
 from pytest_cpas.evaluation import Selection
 from pytest_cpas.evaluation.estimates import Estimates, decode_estimates
 from pytest_cpas.evaluation.predictions import StoredRun
@@ -197,6 +199,7 @@ def test_three_mistakes_are_found_one_after_the_other(original, correct):
 
 EXTENTS = {
     "extents-halved": lambda s: s / 2,
+    "extents-scaled-twice": lambda s: s * np.linalg.norm(s, axis=1, keepdims=True),
     "extents-doubled": lambda s: s * 2,
     "extents-mm": lambda s: s * 1000,
     "extents-cm": lambda s: s * 100,
@@ -408,3 +411,14 @@ def test_infinite_answers_are_unanswered(original):
     )
     assert len(rebuilt) == len(original) - 100
     assert rebuilt.total == len(original)
+
+
+def test_a_file_has_no_code_of_a_method(original):
+    """What to change in a file speaks of numbers alone, of all that the fix changes."""
+    for mistake in [*READINGS, *units(), *cameras(original), *object_frames(original)]:
+        assert not re.search("MethodInfo|Hypothesis|\\.\\.\\.", mistake.fix_of_numbers), (
+            mistake.name
+        )
+        for name in ("rotation", "translation", "extents"):
+            if f"{name}={name}," not in mistake.fix and f"{name}=" in mistake.fix:
+                assert f"{name} = " in mistake.fix_of_numbers, mistake.name

@@ -167,7 +167,8 @@ def test_stored_predictions_in_another_object_frame(rewritten):
         [
             "your object frame is ShapeNet's, not NOCS's: with that one rotation *"
             f"({correct} of {total}, before *; at 10 deg, 2 cm)",
-            '  change: object_frame="shapenet" in MethodInfo',
+            "  change where the file is written: rotation = rotation @ np.array(*;"
+            " extents = extents[[][[]2, 1, 0]]",
         ]
     )
 
@@ -176,4 +177,21 @@ def test_stored_predictions_in_millimetres(rewritten):
     def change(arrays):
         arrays["pred_RTs"][:, :3, 3] *= 1000
 
-    rewritten(change).stdout.fnmatch_lines(["your translation is in millimetres, not in metres*"])
+    rewritten(change).stdout.fnmatch_lines(
+        [
+            "your translation is in millimetres, not in metres*",
+            "  change where the file is written: translation = translation / 1000",
+        ]
+    )
+
+
+def test_stored_sizes_in_metres_beside_a_scale(rewritten):
+    """The commonest mistake of the form, whose sizes are relative to the scale of the pose."""
+
+    def change(arrays):
+        scales = np.cbrt(np.linalg.det(arrays["pred_RTs"][:, :3, :3]))
+        arrays["pred_scales"] = arrays["pred_scales"] * scales[:, None]
+
+    rewritten(change).stdout.fnmatch_lines(
+        ["your extents are multiplied by the diagonal of the box once more, as sizes in metres*"]
+    )
