@@ -25,7 +25,7 @@ from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.images import image_size
 from pytest_cpas.reading.paths import names
 from pytest_cpas.reading.structured import parse_json
-from pytest_cpas.types import ContractError, SampleRef
+from pytest_cpas.types import ContractError, Derived, SampleRef
 
 #: The packages whose code decides what is listed of every tree.
 _ROOMS = ("datasets", "reading")
@@ -44,13 +44,15 @@ Stamps = dict[str, list[int] | None]
 
 
 class Index(NamedTuple):
-    """What a scan found. ``details``: per sample, in order, what its loader needs, as JSON."""
+    """What a scan found. ``details``: per sample, in order, what its loader needs, as JSON.
+    ``derived``: the fields of each :class:`Derived`, lists for sets."""
 
     samples: list[SampleRef]
     details: list[Any]
     missing: list[str]
     damaged: list[str]
     absent: list[str]
+    derived: list[Any]
     digest: str
 
 
@@ -70,6 +72,7 @@ class Scan:
         self._details: list[Any] = []
         self._lacking: dict[str, list[str]] = defaultdict(list)
         self._shapeless: Counter[str] = Counter()
+        self._derived: dict[Derived, list[str]] = defaultdict(list)
         self._ids: set[str] = set()
         self._names: dict[str, set[str]] = {}
         self._digest = hashlib.sha256()
@@ -133,9 +136,13 @@ class Scan:
         """Something of ``kind`` is not there for ``where``; each kind is told once."""
         self._lacking[kind].append(where)
 
-    def lacks_shape(self, model: str) -> None:
-        """A sample of this model is listed, but there is no mesh of it; each model is told once."""
-        self._shapeless[model] += 1
+    def derives(self, derived: Derived, sample: str) -> None:
+        """A part of this listed sample is made by the reader."""
+        self._derived[derived].append(sample)
+
+    def lacks_shape(self, mesh: str) -> None:
+        """A sample is listed, but this file, its mesh, is not there; each file is told once."""
+        self._shapeless[mesh] += 1
 
     def index(self) -> Index:
         """What was found."""
@@ -144,8 +151,8 @@ class Scan:
             for kind, where in sorted(self._lacking.items())
         ]
         lacking += [
-            f"mesh {model}.obj: shape metrics of {count} samples are n/a"
-            for model, count in sorted(self._shapeless.items())
+            f"mesh {mesh}: shape metrics of {count} samples are n/a"
+            for mesh, count in sorted(self._shapeless.items())
         ]
         return Index(
             self._samples,
@@ -153,6 +160,10 @@ class Scan:
             lacking + self.missing,
             self.damaged,
             self.absent,
+            [
+                [each.part, sorted(each.made_of), each.how, ids if self._ids - {*ids} else None]
+                for each, ids in self._derived.items()
+            ],
             self._digest.hexdigest(),
         )
 

@@ -45,7 +45,8 @@ class Record(NamedTuple):
     ``camera``: width, height, fx, fy, cx, cy. ``rotation`` (9,), row by row, and ``translation``
     (3,), metres: object to camera, in the axes of :mod:`pytest_cpas.types`. ``extents`` (3,),
     metres, or the mesh's box. The mask is where the mask image has ``mask_id``, or is not 0;
-    without an image, the mesh is rendered.
+    without an image, the mesh is rendered. ``amodal``: the image shows also what others hide, of
+    which the part that was measured nearer than the mesh is left out.
     """
 
     rgb: str
@@ -59,6 +60,7 @@ class Record(NamedTuple):
     mask_id: int | None = None
     depth_per_metre: float = 1000.0
     symmetry: str | None = None
+    amodal: bool = False
 
 
 class RecordTree(Tree):
@@ -113,7 +115,7 @@ class RecordTree(Tree):
     def box_of(self, ref: SampleRef) -> Array | None:
         """The 2-D box of what is seen of an object: that of its mask."""
         record = Record(*self._details[ref.id])
-        if ref.id in self.absent or record.mask is None:
+        if ref.id in self.absent or record.mask is None or record.amodal:
             return super().box_of(ref)
         width, height, *intrinsics = record.camera
         camera = Camera(int(width), int(height), *intrinsics)
@@ -128,6 +130,8 @@ class RecordTree(Tree):
     ) -> NDArray[np.bool_]:
         if record.mask is not None:
             mask = self._listed_mask(record, record.mask, camera)
+            if record.amodal and isinstance(truth.surface, Mesh):
+                mask = mask & ~hidden(_rendered(truth.surface, truth.pose, camera), depth)
             where = record.mask
         elif isinstance(truth.surface, Mesh):
             mask = _visible(truth.surface, truth.pose, depth, camera)
@@ -180,6 +184,11 @@ def _visible(
 
     ``depth`` (H, W): measured metres, 0 = missing. A pixel without a measurement counts as seen.
     """
-    rendered = render([(mesh, pose)], camera).depth
+    rendered = _rendered(mesh, pose, camera)
     mask: NDArray[np.bool_] = (rendered > 0) & ~hidden(rendered, depth)
     return mask
+
+
+def _rendered(mesh: Mesh, pose: Pose, camera: Camera) -> Array:
+    """Depth (H, W) of a posed mesh, metres, 0 = nothing."""
+    return render([(mesh, pose)], camera).depth

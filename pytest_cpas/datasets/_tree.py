@@ -12,7 +12,7 @@ from typing import Any
 from pytest_cpas.datasets._index import Scan, read_index
 from pytest_cpas.datasets.sources import how_to_get
 from pytest_cpas.reading.images import read_depth, read_ids, read_rgb
-from pytest_cpas.types import Dataset, GroundTruth, SampleRef
+from pytest_cpas.types import Dataset, Derived, GroundTruth, SampleRef
 
 
 class Tree(Dataset):
@@ -24,6 +24,9 @@ class Tree(Dataset):
     #: Whether an image has several objects: then an id ends with the object's place in its image.
     several = True
 
+    #: What is derived of all samples; :meth:`Scan.derives` tells of some.
+    all_derived: Sequence[Derived] = ()
+
     def __init__(self, name: str, root: Path) -> None:
         """List the samples."""
         self.name = name
@@ -34,6 +37,18 @@ class Tree(Dataset):
         self.missing = index.missing
         self.damaged = index.damaged
         self.absent = frozenset(index.absent)
+        self.derived = (
+            *self.all_derived,
+            *(
+                Derived(
+                    part=part,
+                    made_of=frozenset(made_of),
+                    how=how,
+                    samples=None if ids is None else frozenset(ids),
+                )
+                for part, made_of, how, ids in index.derived
+            ),
+        )
         self.digest = index.digest
         self._details: dict[str, Any] = {
             ref.id: detail for ref, detail in zip(index.samples, index.details, strict=True)

@@ -2,11 +2,13 @@
 
 ::
 
-    DIR/SPLIT/SCENE/rgb/IIIIII.png (or .jpg), depth/IIIIII.png, mask_visib/IIIIII_GGGGGG.png
+    DIR/SPLIT/SCENE/rgb/IIIIII.png (or .jpg), depth/IIIIII.png
+    DIR/SPLIT/SCENE/mask_visib/IIIIII_GGGGGG.png, else mask/IIIIII_GGGGGG.png
     DIR/SPLIT/SCENE/scene_camera.json    per image cam_K and depth_scale (to millimetres)
     DIR/SPLIT/SCENE/scene_gt.json        per image a list of obj_id, cam_R_m2c, cam_t_m2c
     DIR/SPLIT/SCENE/scene_gt_info.json   per image a list with visib_fract
-    DIR/models_eval/ (or models/, models_cad/): obj_NNNNNN.ply, models_info.json; millimetres
+    DIR/models_eval/ (or models/, models_cad/): obj_NNNNNN.ply (or .obj), models_info.json;
+                                         millimetres
     DIR/test_targets_bop19.json          of a test split, the images and objects to be judged
 
 from ``docs/bop_datasets_format.md`` of thodan/bop_toolkit (2018; with the names that its JSON
@@ -17,56 +19,62 @@ An object is a category: ``obj_000001``. Objects of which less than a tenth is v
 as in BOP's evaluation. Our object frame has BOP's axes, whatever is up, and its origin in the
 centre of the model's box: BOP's is close to it, but not always in it. The symmetries are those of
 ``models_info.json``, without the shifts that they may hold.
+
+``mask/`` shows the whole object, also what others hide: it is taken where ``mask_visib/`` lacks,
+less the pixels that were measured nearer than the model. Without either, the model is rendered.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Generator
+from collections import Counter
+from collections.abc import Callable, Collection, Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-
+from pytest_cpas.datasets._bop_models import (
+    HOW,
+    MODEL_FILES,
+    find_models,
+    read_model_mesh,
+    read_models,
+)
+from pytest_cpas.datasets._derived import RENDERED
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
-from pytest_cpas.datasets._values import intrinsics, list_of, rotation_of, steps_per_metre
-from pytest_cpas.reading.files import read_bytes
-from pytest_cpas.reading.meshes import read_mesh
+from pytest_cpas.datasets._values import intrinsics, list_of, steps_per_metre
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.structured import parse_json
 from pytest_cpas.types import (
-    Array,
     Camera,
     ContractError,
     DataError,
+    Derived,
     Mesh,
     Pose,
     SampleRef,
     Symmetry,
-    shortened,
 )
 from pytest_cpas.types._arrays import checked_integer, checked_number
 
 #: Objects of which a smaller part is visible are not judged (BOP Challenge 2019).
 _LEAST_VISIBLE = 0.1
 
-_MODELS = ("models_eval", "models", "models_cad")
+#: What a visible mask is made of where only ``mask/`` is there.
+_AMODAL = Derived(
+    part="mask",
+    made_of=frozenset({"mask/", "mesh", "pose", "depth"}),
+    how="there is no mask_visib/: mask/, which shows also what others hide (amodal), less what was"
+    " measured more than 1 cm in front of the mesh",
+)
 
-_HOW = """\
-A data set in BOP format is named with its folder, --cpas-dataset bop:DIR, or with one of its \
-splits, bop:DIR/SPLIT. DIR has models_eval/ or models/ with models_info.json, and splits such as \
-test/ with scenes 000001/, ... (https://bop.felk.cvut.cz/datasets)"""
-
-
-class Model(NamedTuple):
-    """An object: centre (3,) and side lengths (3,) of its box, metres, and its symmetry."""
-
-    centre: Array
-    extents: Array
-    symmetry: Symmetry
+_WHOLE = Derived(
+    part="mask",
+    made_of=frozenset({"mask/"}),
+    how="there is no mask_visib/, and no mesh: mask/, which shows also what others hide (amodal)",
+)
 
 
 class Bop(RecordTree):
@@ -81,6 +89,7 @@ class Bop(RecordTree):
         root, self.split = find_split(data_dir)
         self._models_info = find_models(root)
         self._models, self._damaged_models = read_models(root / self._models_info)
+        self._models_folder = self._models_info.rpartition("/")[0]
         self.published_centres = {object_name(n): m.centre for n, m in self._models.items()}
         self.class_names = tuple(self.published_centres)
         name = re.sub(r"[^A-Za-z0-9._-]", "-", f"bop-{root.resolve().name}-{self.split}")
@@ -90,6 +99,8 @@ class Bop(RecordTree):
         """List the annotated objects that are seen well enough."""
         scan.read(self._models_info)
         scan.damaged += self._damaged_models
+        self._meshes = self._find_meshes(scan)
+        self._without_mesh: Counter[str] = Counter()
         targets = self._targets(scan)
         for scene in sorted(scan.names(self.split), key=natural):
             if whole(scene) is None:
@@ -98,9 +109,30 @@ class Bop(RecordTree):
                 self._scan_scene(scan, scene, targets)
             except ContractError as error:
                 scan.damaged.append(str(error))
-        for number in sorted(self._models):
-            if scan.has(self._mesh_path(number)):
-                scan.hash(self._mesh_path(number))
+        for path in self._meshes.values():
+            scan.hash(path)
+        if lacking := self._without_mesh:
+            scan.missing.append(
+                f"models of {len(lacking)} objects, first {self._models_folder}/{min(lacking)}.ply:"
+                f" shape metrics of {lacking.total()} samples are n/a"
+            )
+
+    def _find_meshes(self, scan: Scan) -> dict[int, str]:
+        """The file of each object's model. An OBJ file must have the box that is described."""
+        found = {}
+        for number, model in sorted(self._models.items()):
+            paths = [f"{self._models_folder}/{object_name(number)}{end}" for end in MODEL_FILES]
+            path = next(filter(scan.has, paths), None)
+            if path is None:
+                continue
+            if path.endswith(".obj"):
+                try:
+                    read_model_mesh(self.root / path, model)
+                except ContractError as error:
+                    scan.damaged.append(str(error))
+                    continue
+            found[number] = path
+        return found
 
     def _targets(self, scan: Scan) -> set[tuple[int, int, int]] | None:
         """The (scene, image, object) to be judged; None for all."""
@@ -131,14 +163,24 @@ class Bop(RecordTree):
         info = f"{folder}/scene_gt_info.json"
         infos = scan.read_json(info) if scan.has(info) else {}
         size: tuple[int, int] | None = None
+        self._name_unlisted(scan, folder, truths)
+        file = f"{self.root / folder}/scene_camera.json"
+        scales = ["depth_scale" in camera for camera in cameras.values() if type(camera) is dict]
+        if not all(scales):
+            raise DataError(
+                f"{file}: {scales.count(False)} of {len(scales)} images have no depth_scale, which"
+                " the format demands: the millimetres of one step of depth. Write it for each"
+                ' image, "depth_scale": 1.0 if depth is in millimetres'
+            )
         for key in sorted(truths, key=natural):
-            where = f"{self.root / folder}: image {key}"
+            where = f"{self.root / folder}/scene_gt.json: image {key}"
             with _damage(scan, where):
                 found = self._image(scan, folder, key, cameras.get(key))
                 if found is None:
                     continue
                 size = size or scan.image_size(found[0])
-                frame = _frame(*found, cameras[key], size)
+                with _named(f"{file}: image {key}"):
+                    frame = _frame(*found, cameras[key], size)
                 objects = list_of(truths[key], "scene_gt.json")
                 visible = _visible(infos, key, len(objects))
                 for index, truth in enumerate(objects):
@@ -148,6 +190,14 @@ class Bop(RecordTree):
                         if wanted and visible(index) >= _LEAST_VISIBLE:
                             ref_id = f"{scene}/{int(key):06d}/{index}"
                             self._add(scan, frame, ref_id, number, truth)
+
+    def _name_unlisted(self, scan: Scan, folder: str, truths: Collection[str]) -> None:
+        """Name the images of a scene that ``scene_gt.json`` lacks."""
+        listed = {whole(key) for key in truths}
+        for file in sorted(scan.names(f"{folder}/rgb")):
+            stem, _, end = file.rpartition(".")
+            if end in ("png", "jpg") and whole(stem) not in listed:
+                scan.lacks("images that scene_gt.json does not list", f"{folder}/rgb/{file}")
 
     def _object(self, truth: Any) -> int:
         number = _number(truth.get("obj_id") if isinstance(truth, dict) else None, "obj_id")
@@ -172,12 +222,15 @@ class Bop(RecordTree):
         self, scan: Scan, frame: Record, ref_id: str, number: int, truth: dict[str, Any]
     ) -> None:
         scene, image, index = ref_id.split("/")
-        model, mesh = self._models[number], self._mesh_path(number)
-        mask = f"{self.split}/{scene}/mask_visib/{image}_{int(index):06d}.png"
-        has_mask, has_mesh = scan.has(mask), scan.has(mesh)
-        if not has_mask and not has_mesh:
-            scan.lacks("objects with neither mask (mask_visib/) nor model", ref_id)
+        model, mesh = self._models[number], self._meshes.get(number)
+        file = f"{image}_{int(index):06d}.png"
+        masks = [f"{self.split}/{scene}/{kind}/{file}" for kind in ("mask_visib", "mask")]
+        mask = next(filter(scan.has, masks), None)
+        if mask is None and mesh is None:
+            scan.lacks("objects with neither mask (mask_visib/, mask/) nor model", ref_id)
             return
+        if mesh is None:
+            self._without_mesh[object_name(number)] += 1
         rotation = numbers(truth.get("cam_R_m2c"), (3, 3), "cam_R_m2c")
         translation = numbers(truth.get("cam_t_m2c"), (3,), "cam_t_m2c") / 1000
         pose = Pose(rotation, translation + rotation @ model.centre)
@@ -185,22 +238,22 @@ class Bop(RecordTree):
             rotation=pose.rotation.ravel().tolist(),
             translation=pose.translation.tolist(),
             extents=model.extents.tolist(),
-            mesh=mesh if has_mesh else None,
-            mask=mask if has_mask else None,
+            mesh=mesh,
+            mask=mask,
+            amodal=mask == masks[1],
         )
+        if mask != masks[0]:
+            derived = RENDERED if mask is None else _WHOLE if mesh is None else _AMODAL
+            scan.derives(derived, ref_id)
+            scan.note(f"{ref_id} {mask}\n")  # what a method sees is another thing then
         name = object_name(number)
         scan.add(SampleRef(id=ref_id, category=name, scene=scene, model=name), record)
-
-    def _mesh_path(self, number: int) -> str:
-        return f"{self._models_info.rpartition('/')[0]}/{object_name(number)}.ply"
 
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:
         return self._models[object_number(ref.category)].symmetry
 
     def _read_mesh(self, name: str) -> Mesh:
-        mesh = read_mesh(self.root / name)
-        centre = self._models[object_number(Path(name).stem)].centre
-        return Mesh(mesh.vertices / 1000 - centre, mesh.triangles)
+        return read_model_mesh(self.root / name, self._models[object_number(Path(name).stem)])
 
 
 def object_name(number: int) -> str:
@@ -216,47 +269,25 @@ def object_number(name: str) -> int:
     return number
 
 
-def read_models(path: Path) -> tuple[dict[int, Model], list[str]]:
-    """The objects of a ``models_info.json`` by number, and what is wrong with the others."""
-    models, damaged = {}, []
-    for key, info in parse_json(path, read_bytes(path)).items():
-        try:
-            number = whole(key)
-            if number is None or not isinstance(info, dict):
-                raise DataError("expected a number, and min_x, size_x, ...")
-            if number in models:
-                raise DataError(f"number {number} is there twice")
-            models[number] = _model(info)
-        except ContractError as error:
-            damaged.append(f"{path}: object {shortened(key, 30)}: {error}")
-    return models, damaged
+@contextmanager
+def _named(where: str) -> Generator[None]:
+    """Say which file it is of which something is wrong."""
+    try:
+        yield
+    except ContractError as error:
+        raise _NamedError(f"{where}: {error}") from None
 
 
-def _model(info: dict[str, Any]) -> Model:
-    """An entry of ``models_info.json``, whose lengths are millimetres."""
-    low = numbers([info.get(f"min_{axis}") for axis in "xyz"], (3,), "min_x, min_y, min_z") / 1000
-    size = numbers([info.get(f"size_{axis}") for axis in "xyz"], (3,), "size_x, size_y, size_z")
-    if (size <= 0).any():
-        raise DataError(f"size is {size.tolist()}, expected positive millimetres")
-    discrete = _given(info, "symmetries_discrete")
-    rotations = [np.eye(3)]
-    rotations += [rotation_of(s, "symmetries_discrete") for s in discrete]
-    axes = [
-        numbers(s.get("axis") if isinstance(s, dict) else s, (3,), "symmetries_continuous")
-        for s in _given(info, "symmetries_continuous")
-    ]
-    symmetry = (
-        Symmetry.full()  # two axes generate all rotations
-        if len(axes) > 1
-        else Symmetry(np.stack(rotations), axes[0] if axes else None)
-    )
-    return Model(low + size / 2000, size / 1000, symmetry)
+class _NamedError(DataError):
+    """Says itself which file is wrong."""
 
 
 @contextmanager
 def _damage(scan: Scan, where: str) -> Generator[None]:
     try:
         yield
+    except _NamedError as error:
+        scan.damaged.append(str(error))
     except ContractError as error:
         scan.damaged.append(f"{where}: {error}")
 
@@ -265,13 +296,8 @@ def _frame(rgb: str, depth: str, entry: dict[str, Any], size: tuple[int, int]) -
     """What the objects of an image share."""
     camera = intrinsics(entry.get("cam_K"), "cam_K")
     Camera(*size, *camera)
-    steps = steps_per_metre(entry.get("depth_scale", 1), "depth_scale, millimetres of a step", 1000)
+    steps = steps_per_metre(entry["depth_scale"], "depth_scale, millimetres of a step", 1000)
     return Record(rgb, depth, [*size, *camera], [], [], depth_per_metre=steps)
-
-
-def _given(info: dict[str, Any], key: str) -> list[Any]:
-    """A list that need not be there."""
-    return list_of(info.get(key, []), key)
 
 
 def _number(value: Any, key: str) -> int:
@@ -297,18 +323,10 @@ def _visible(infos: dict[str, Any], image: str, count: int) -> Callable[[int], f
     return visible
 
 
-def find_models(root: Path) -> str:
-    """The ``models_info.json`` below ``root`` that BOP's evaluation uses."""
-    for name in _MODELS:
-        if (root / name / "models_info.json").is_file():
-            return f"{name}/models_info.json"
-    raise FileNotFoundError(f"{root} has no models_info.json in its models.\n{_HOW}")
-
-
 def find_split(data_dir: Path | None) -> tuple[Path, str]:
     """The data set's folder and the split that ``data_dir`` names."""
     if data_dir is None or not data_dir.is_dir():
-        raise FileNotFoundError(f"no folder {data_dir or 'was given'}.\n{_HOW}")
+        raise FileNotFoundError(f"no folder {data_dir or 'was given'}.\n{HOW}")
 
     def is_split(folder: Path) -> bool:
         return folder.is_dir() and any(
@@ -324,5 +342,5 @@ def find_split(data_dir: Path | None) -> tuple[Path, str]:
         return data_dir, "test"
     if len(tests) != 1:
         found = ", ".join(splits) or "none"
-        raise FileNotFoundError(f"{data_dir}: splits are {found}; name one of them.\n{_HOW}")
+        raise FileNotFoundError(f"{data_dir}: splits are {found}; name one of them.\n{HOW}")
     return data_dir, tests[0]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pytest_cpas.datasets._derived import BOX_OF_MESH, BY_CATEGORY, RENDERED
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._values import steps_per_metre
@@ -109,6 +110,13 @@ class Folder(RecordTree):
                 scan.lacks(f"samples without their {kind} file", f"{ref.id} ({file})")
                 return
         scan.add(ref, record)
+        for derived, given in (
+            (RENDERED, record.mask),
+            (BOX_OF_MESH, record.extents),
+            (BY_CATEGORY, record.symmetry),
+        ):
+            if given is None:
+                scan.derives(derived, ref.id)
 
     def _record(self, text: dict[str, str], where: str) -> Record:
         def values(columns: tuple[str, ...]) -> list[float]:

@@ -33,7 +33,7 @@ from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
-from pytest_cpas.types import ContractError, DataError, SampleRef, Symmetry
+from pytest_cpas.types import ContractError, DataError, Derived, SampleRef, Symmetry
 
 CATEGORIES = (
     "box",
@@ -55,6 +55,13 @@ class HouseCat6D(RecordTree):
     """The test scenes of HouseCat6D."""
 
     class_names = CATEGORIES
+    all_derived = (
+        Derived(
+            part="symmetry",
+            made_of=frozenset({"category"}),
+            how="by category: bottle, can and glass about y, others none",
+        ),
+    )
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/housecat6d``; FileNotFoundError says how."""
@@ -160,7 +167,7 @@ class HouseCat6D(RecordTree):
             ref = SampleRef(id=ref_id, category=category, scene=scene, model=model)
             listed.append((ref, record))
             if record.mesh is None:
-                scan.lacks_shape(model)
+                scan.lacks_shape(f"{model}.obj")
         return listed
 
     def _symmetry(self, ref: SampleRef, record: Record) -> Symmetry:

@@ -29,14 +29,15 @@ import functools
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.datasets._derived import BOX_OF_MESH, BY_CATEGORY, PROJECTED
 from pytest_cpas.datasets._index import Scan
+from pytest_cpas.datasets._nocs_meta import Listed, read_meta
 from pytest_cpas.datasets._nocs_poses import read_poses, seen_instead
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.reading.files import decoded, read_text
@@ -51,6 +52,7 @@ from pytest_cpas.types import (
     Camera,
     ContractError,
     DataError,
+    Derived,
     GroundTruth,
     Mesh,
     Observation,
@@ -81,24 +83,15 @@ def symmetry_of(category: str) -> Symmetry:
     return Symmetry.about([0, 1, 0]) if category in SYMMETRIC_CATEGORIES else Symmetry.none()
 
 
-class Listed(NamedTuple):
-    """A line of a frame's meta file, which of the frame's poses is its, and how many there are.
-
-    ``model`` is empty and ``mask_id`` -1 where there is no meta file.
-    """
-
-    mask_id: int
-    category: str
-    model: str
-    pose_index: int
-    poses: int
-
-
 class NocsTree(Tree):
     """The test split below ``root`` as a data set; see the module's docstring for the layout."""
 
     camera: Camera
     published_axes = NOCS_FROM_SHAPENET
+    all_derived: Sequence[Derived] = (BY_CATEGORY,)
+
+    #: What extents are where there is a mesh.
+    box = BOX_OF_MESH
 
     #: The folder of its models, where its frames may be (as published, and as SPD and those who
     #: followed it have them), the lines of a meta file, and where a model's mesh may be.
@@ -144,6 +137,7 @@ class NocsTree(Tree):
         models = Counter(o.model for _, os in listed for o in os if o.model)
         left_out = self._scan_models(scan, models)
         without_images = set(absent)
+        with_mesh = {m for m in models if any(scan.has(f.format(model=m)) for f in self.meshes)}
         for frame, objects in listed:
             for item in objects:
                 if item.model not in left_out:
@@ -152,8 +146,11 @@ class NocsTree(Tree):
                     category, model = item.category, item.model
                     ref = SampleRef(id=ref_id, category=category, scene=scene, model=model)
                     scan.add(ref, item)
+                    if model in with_mesh:
+                        scan.derives(self.box, ref_id)
                     if frame in without_images:
                         scan.absent.append(ref_id)
+                        scan.derives(PROJECTED, ref_id)
 
     def _frames(self, scan: Scan) -> list[str]:
         """The frames of which there is a file, in order."""
@@ -183,7 +180,7 @@ class NocsTree(Tree):
                 return [(frame, self._read_classes(scan, frame))]
             text = decoded(Path(meta), scan.read(meta), "replace")
             self._scan_truth(scan, frame)
-            return [(frame, self._posed(scan, frame, self._read_meta(frame, text)))]
+            return [(frame, self._posed(scan, frame, read_meta(frame, text, self.meta)))]
         except ContractError as error:
             scan.damaged.append(str(error))
             return []
@@ -238,28 +235,6 @@ class NocsTree(Tree):
                 f" {', '.join(map(str, ids))}); which pose is whose cannot be told"
             )
         return [item._replace(pose_index=n, poses=count) for n, item in enumerate(posed)]
-
-    def _read_meta(self, frame: str, text: str) -> list[Listed]:
-        # a model's name becomes part of a path
-        model = r" ((?!\.)[^\s/\\]+)" * (len(self.meta.split()) - 2)
-        form = re.compile(r"([0-9]{1,9}) ([0-9]{1,9})" + model)
-        if not text.strip():
-            raise DataError(f"{frame}_meta.txt: it is empty, expected {self.meta!r} in each line")
-        entries = []
-        for line in filter(str.strip, text.split("\n")):
-            match = form.fullmatch(" ".join(line.split()))
-            if not match or int(match[2]) > len(CATEGORIES) or int(match[1]) > 254:
-                raise DataError(
-                    f"{frame}_meta.txt: line {line!r}, expected {self.meta!r} with a"
-                    f" mask id of 0 to 254 and a class id of 0 to {len(CATEGORIES)}"
-                )
-            if int(match[2]) > 0:
-                model = "/".join(match.groups()[2:])
-                entries.append((int(match[1]), CATEGORIES[int(match[2]) - 1], model))
-        if len({mask_id for mask_id, _, _ in entries}) < len(entries):
-            raise DataError(f"{frame}_meta.txt: a mask id occurs twice")
-        count = len(entries)
-        return [Listed(*entry, index, count) for index, entry in enumerate(sorted(entries))]
 
     def _seen(
         self, scan: Scan, listed: list[tuple[str, list[Listed]]]

@@ -33,8 +33,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.datasets._index import Scan
+from pytest_cpas.datasets._nocs_meta import Listed
 from pytest_cpas.datasets._tree import find_marked
-from pytest_cpas.datasets.nocs import REAL_CAMERA, Listed, NocsTree, symmetry_of
+from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree, symmetry_of
 from pytest_cpas.reading.images import read_depth, read_ids, read_rgb
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama
@@ -42,6 +43,7 @@ from pytest_cpas.types import (
     Camera,
     ContractError,
     DataError,
+    Derived,
     GroundTruth,
     Mesh,
     Pose,
@@ -59,11 +61,26 @@ _LARGEST_DEPTH = 32.0  # metres
 _FITTED = 2048
 
 
+_FITTED_POSE = Derived(
+    part="pose",
+    made_of=frozenset({"NOCS map", "mask", "depth"}),
+    how="fitted to the NOCS map and the measured depth",
+)
+
+_SCALED_BOX = Derived(
+    part="extents",
+    made_of=frozenset({"mesh"}),
+    how="the side lengths of the mesh's box, in the scale that is fitted with the pose",
+)
+
+
 class FittedTree(NocsTree):
     """A split without published poses; see the module's docstring."""
 
     #: A pose is fitted to images.
     quick_truth = False
+
+    all_derived = (*NocsTree.all_derived, _FITTED_POSE)
 
     #: Where a frame's depth is.
     depth = "{frames}/{frame}_depth.png"
@@ -187,6 +204,7 @@ class Camera25(FittedTree):
     models = "val"
     layouts = ("val", "CAMERA/val")
     meta = "mask_id class_id synset model"
+    box = _SCALED_BOX
     meshes = ("obj_models/val/{model}/model.obj",)
     depth = "camera_full_depths/val/{frame}_composed.png"
     has_extents = False

@@ -29,6 +29,7 @@ import io
 from pathlib import Path
 from typing import Any
 
+from pytest_cpas.datasets._derived import BY_CATEGORY
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
@@ -45,6 +46,7 @@ _TAXONOMY = "class_obj_taxonomy.json"
 class PhoCaL(RecordTree):
     """The test images of PhoCaL."""
 
+    all_derived = (BY_CATEGORY,)
     mesh_axes = SHAPENET_FROM_Z_UP
     published_axes = SHAPENET_FROM_Z_UP.T
 
@@ -140,7 +142,7 @@ class PhoCaL(RecordTree):
         mesh = f"obj_models_small_size/{category}/{model}.obj"
         has_mesh = "/" not in category + model and scan.has(mesh)
         if not has_mesh:
-            scan.lacks_shape(model)
+            scan.lacks_shape(f"{model}.obj")
         record = shared._replace(
             rotation=(rotation @ SHAPENET_FROM_Z_UP.T).ravel().tolist(),
             translation=translation.tolist(),

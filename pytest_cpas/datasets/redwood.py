@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from pytest_cpas.datasets._derived import BY_CATEGORY, PROJECTED, RENDERED
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
@@ -48,6 +49,7 @@ class Redwood75(RecordTree):
     """
 
     several = False
+    all_derived = (RENDERED, BY_CATEGORY)
 
     camera = REDWOOD_CAMERA
     mesh_axes = _SHAPENET_FROM_ANNOTATION
@@ -88,6 +90,7 @@ class Redwood75(RecordTree):
                 scan.add(ref, record)
                 if not (scan.has(record.rgb) and scan.has(record.depth)):
                     scan.absent.append(ref.id)
+                    scan.derives(PROJECTED, ref.id)
         if scan.absent:
             scan.missing.append(
                 f"the frames of {len(scan.absent)} samples, first {scan.absent[0]}: left out."

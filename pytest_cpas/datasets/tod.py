@@ -39,7 +39,7 @@ from pytest_cpas.reading.files import read_text
 from pytest_cpas.reading.numbers import numbers, whole
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.similarity import rigid
-from pytest_cpas.types import Array, ContractError, DataError, SampleRef, Symmetry
+from pytest_cpas.types import Array, ContractError, DataError, Derived, SampleRef, Symmetry
 from pytest_cpas.types.frames import SHAPENET_FROM_Z_UP
 
 CATEGORIES = ("ball", "bottle", "cup", "heart", "mug", "tree")
@@ -69,6 +69,23 @@ class Tod(RecordTree):
     """All sequences of TOD."""
 
     several = False
+    all_derived = (
+        Derived(
+            part="pose",
+            made_of=frozenset({"keypoints", "mesh"}),
+            how="fitted to the keypoints of model and image",
+        ),
+        Derived(
+            part="extents",
+            made_of=frozenset({"mesh"}),
+            how="the side lengths of the box of the model's vertices",
+        ),
+        Derived(
+            part="symmetry",
+            made_of=frozenset({"category"}),
+            how="by category: ball about everything, bottle and cup about y, others none",
+        ),
+    )
 
     def __init__(self, data_dir: Path | None) -> None:
         """Find the tree in ``data_dir`` or ``data_dir/tod``; FileNotFoundError says how."""

@@ -21,6 +21,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from pytest_cpas.datasets._derived import BY_CATEGORY
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
 from pytest_cpas.datasets._tree import find_root
@@ -40,6 +41,7 @@ class Wild6D(RecordTree):
     """The test set of Wild6D."""
 
     several = False
+    all_derived = (BY_CATEGORY,)
     published_axes = NOCS_FROM_SHAPENET
 
     def __init__(self, data_dir: Path | None) -> None:

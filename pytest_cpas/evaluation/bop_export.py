@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 
 from pytest_cpas._files import write_file
-from pytest_cpas.datasets.bop import find_models, find_split, object_number, read_models
+from pytest_cpas.datasets._bop_models import find_models, read_models
+from pytest_cpas.datasets.bop import find_split, object_number
 from pytest_cpas.evaluation.estimates import decode_estimates
 from pytest_cpas.evaluation.results import ResultsError, read_results
 from pytest_cpas.evaluation.rows import Row

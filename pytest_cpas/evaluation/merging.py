@@ -44,6 +44,7 @@ class MergedRun(Run):
             header.dataset,
             samples,
             missing=header.missing,
+            derived=header.derived,
             damaged=header.damaged,
             identity=header.identity,
             protocols=protocols,

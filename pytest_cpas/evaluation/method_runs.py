@@ -43,6 +43,7 @@ from pytest_cpas.types import (
 )
 from pytest_cpas.types.datasets import camera_of, mask_box, readers_of
 from pytest_cpas.types.declarations import TOLERANCE
+from pytest_cpas.types.derived import derived_note
 from pytest_cpas.types.frames import standard_prediction, to_standard
 
 __all__ = ["MethodError", "MethodRun", "check_answers"]
@@ -165,6 +166,7 @@ class MethodRun(Run):
             known,
             selection=selection,
             missing=missing,
+            derived=derived_note(dataset.derived, [ref.id for ref in dataset.samples]),
             damaged=dataset.damaged,
             identity={
                 "data": dataset.digest,

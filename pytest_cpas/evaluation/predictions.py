@@ -48,6 +48,7 @@ from pytest_cpas.types import (
     as_dataset,
 )
 from pytest_cpas.types.datasets import camera_of
+from pytest_cpas.types.derived import derived_note
 from pytest_cpas.types.frames import standard_prediction, to_standard
 
 __all__ = ["StoredRun"]
@@ -85,6 +86,7 @@ class StoredRun(Run):
             self._dataset.samples,
             selection=selection,
             missing=self._dataset.missing,
+            derived=derived_note(self._dataset.derived, [ref.id for ref in self._dataset.samples]),
             damaged=self._dataset.damaged,
             identity={
                 "data": self._dataset.digest,

@@ -241,6 +241,7 @@ _HEADER: Mapping[str, Callable[[str, Any], Any]] = {
     "selected": _count,
     "listed": _counts,
     "missing": several_texts,
+    "derived": text,
     "damaged": several_texts,
     "identity": texts,
     "definitions": texts,

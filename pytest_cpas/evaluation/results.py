@@ -38,7 +38,7 @@ __all__ = [
     "together",
 ]
 
-FORMAT = 7
+FORMAT = 8
 
 #: Largest file, bytes: a million rows have two thirds of it.
 LARGEST = 2**29
@@ -94,6 +94,7 @@ class Header:
     selected: int
     listed: Mapping[str, int]
     missing: Sequence[str]
+    derived: str
     damaged: Sequence[str]
     identity: Mapping[str, str]
     definitions: Mapping[str, str]
@@ -113,6 +114,7 @@ class Header:
             selected=len(run.samples),
             listed=dict(run.listed),
             missing=list(run.missing),
+            derived=run.derived,
             damaged=list(run.damaged),
             identity=dict(run.identity),
             definitions=dict(run.definitions),

@@ -97,9 +97,9 @@ class Run(ABC):
     """Something that judges samples: a method on a data set, or stored predictions.
 
     ``samples`` are those selected; ``listed`` counts per category what there was to select from.
-    ``missing`` and ``damaged`` as for a data set. ``identity`` holds what must agree for two runs
-    to be comparable, ``provenance`` what else should be known of this one, ``files`` a digest of
-    each file that may be part of the program. ``seeds`` is how often
+    ``missing`` and ``damaged`` as for a data set, ``derived`` in a line. ``identity`` holds what
+    must agree for two runs to be comparable, ``provenance`` what else should be known of this one,
+    ``files`` a digest of each file that may be part of the program. ``seeds`` is how often
     each sample is judged. ``info`` is what the method declares, None where only rows are left.
     ``quick_truth``: :meth:`truth` opens no image. ``focal``: the focal length in pixels, if known.
     ``classes``: the categories of the class ids that files of predictions number them by.
@@ -136,6 +136,7 @@ class Run(ABC):
         *,
         selection: Selection | None = None,
         missing: Sequence[str] = (),
+        derived: str = "",
         damaged: Sequence[str] = (),
         identity: Mapping[str, str],
         protocols: Sequence[Protocol] | None = None,
@@ -151,6 +152,7 @@ class Run(ABC):
         self.listed = Counter(sample.category for sample in samples)
         self.samples = (selection or Selection()).of(samples)
         self.missing, self.damaged = _told(missing), _told(damaged)
+        self.derived = shortened(derived)
         self.identity: Mapping[str, str] = identity
         self.protocols = (shipped_protocol(PAPER),) if protocols is None else tuple(protocols)
         of_samples: tuple[Column, ...] = (

@@ -176,7 +176,7 @@ def run_document(
     }
     if failures := Counter(s.failure for s in new.samples.values() if s.failure):
         content["failures"] = dict(failures.most_common(_MOST_FAILURES))
-    notes = [*run.notes]
+    notes = [*filter(None, [run.derived]), *run.notes]
     listed, published_count = content["listed"], sum(published_sample_counts(run.dataset).values())
     if listed < published_count:
         told = f"{listed} of the {published_count} samples that were published are at hand"

@@ -12,6 +12,7 @@ import functools
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -81,6 +82,12 @@ class DetectedDataset(WrappedDataset):
         self.digest = digest.hexdigest()
         self.name = checked_name("data set", f"{dataset.name}{_SEEN}")
         self.missing = [*dataset.missing, *self._pairing.notes]
+        # whose mask a method does not see
+        told = "its box tells which detection is of an object, and a method sees the detector's"
+        self.derived = [
+            replace(each, how=f"{each.how}; {told}") if each.part == "mask" else each
+            for each in dataset.derived
+        ]
 
     @functools.cached_property
     def notes(self) -> Sequence[str]:

@@ -16,6 +16,7 @@ from pytest_cpas.types._arrays import Array
 from pytest_cpas.types.answers import Hypothesis, Prediction
 from pytest_cpas.types.datasets import Dataset, WrappedDataset, as_dataset
 from pytest_cpas.types.declarations import EQUIVARIANCES, Asset, Method, MethodInfo, assets_of
+from pytest_cpas.types.derived import Derived
 from pytest_cpas.types.errors import (
     AnswerError,
     ContractError,
@@ -50,6 +51,7 @@ __all__ = [
     "DataError",
     "Dataset",
     "DeclarationError",
+    "Derived",
     "GroundTruth",
     "Hypothesis",
     "ItemOutcome",

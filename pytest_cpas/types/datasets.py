@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas._deprecation import deprecated
 from pytest_cpas.types._arrays import Array
+from pytest_cpas.types.derived import Derived
 from pytest_cpas.types.errors import DataError, shown
 from pytest_cpas.types.geometry import Camera
 from pytest_cpas.types.samples import CATEGORIES, GroundTruth, Sample, SampleRef
@@ -50,6 +51,9 @@ class Dataset(ABC):
       object coordinates, metres, of the poses that the data set publishes, in which files of
       predictions are too, are ``published_axes`` times ours, plus the category's centre. None and
       ``{}`` where they are ours.
+    * ``derived``, a sequence of :class:`Derived`: what is not published, but made of the rest by
+      whoever reads the data set, such as masks that are rendered. It is named once, and no check
+      holds it against what it is made of. ``()`` for nothing.
     * ``quick_truth``, bool: :meth:`truth` opens no image. True where a subclass has a ``truth`` of
       its own, unless it says otherwise.
     """
@@ -62,6 +66,7 @@ class Dataset(ABC):
     absent: Collection[str] = frozenset()
     camera: Camera | None = None
     class_names: Sequence[str] = CATEGORIES
+    derived: Sequence[Derived] = ()
     published_axes: Array | None = None
     published_centres: Mapping[str, Array] = MappingProxyType({})
 
@@ -120,6 +125,7 @@ class WrappedDataset(Dataset):
         self.absent = dataset.absent
         self.camera = dataset.camera
         self.class_names = dataset.class_names
+        self.derived = dataset.derived
         self.published_axes = dataset.published_axes
         self.published_centres = dataset.published_centres
         self.quick_truth = dataset.quick_truth
@@ -247,6 +253,7 @@ class _Adapted(WrappedDataset):
         self._dataset = made
         self.absent = getattr(made, "absent", Dataset.absent)
         self.camera = getattr(made, "camera", None)
+        self.derived = getattr(made, "derived", ())
         self.published_axes = getattr(made, "published_axes", None)
         self.published_centres = getattr(made, "published_centres", {})
         self._has_truth = hasattr(made, "truth")

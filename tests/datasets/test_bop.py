@@ -10,17 +10,23 @@ import numpy as np
 import pytest
 from harness import RUN
 from scipy.spatial.transform import Rotation
-from trees import Frame, check, frame, save
+from trees import Frame, check, frame, save, save_obj
 
 from pytest_cpas import cli, registry
 from pytest_cpas.datasets.bop import Bop
+from pytest_cpas.datasets.rendering import render
+from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.types import Camera, ContractError
+from pytest_cpas.types.datasets import mask_box
 
 CAMERA = Camera(160, 120, 150.0, 148.0, 80.5, 61.0)
 
 #: Object numbers, and where the centre of the model's box is in BOP's frame, millimetres.
 NUMBERS = (1, 7)
 CENTRES = np.array([[3.0, -20.0, 1.5], [0.0, 0.0, 0.0]])
+
+
+GT, CAMERAS = "test/000002/scene_gt.json", "test/000002/scene_camera.json"
 
 
 def write_ply(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> None:
@@ -166,9 +172,104 @@ def test_without_models_shape_is_not_known(tmp_path: Path) -> None:
     (tmp_path / "models_eval/obj_000001.ply").unlink()
     data = Bop(tmp_path)
     check(data.load(data.samples[0]), made, 0, mesh=False, category="obj_000001")
+    assert data.missing == [
+        "models of 1 objects, first models_eval/obj_000001.ply: shape metrics of 4 samples are n/a"
+    ]
 
 
-GT, CAMERAS = "test/000002/scene_gt.json", "test/000002/scene_camera.json"
+def test_whole_masks_are_taken_less_what_is_in_front(tmp_path: Path) -> None:
+    """mask/ of a bowl of which the left half is behind something that was measured."""
+    made = write_bop(tmp_path)["000002/000000"]
+    item = made.objects[1]
+    whole = render([(item.mesh, item.pose)], CAMERA).depth > 0
+    hidden = whole & (np.arange(CAMERA.width) < np.flatnonzero(whole.any(axis=0)).mean())
+    measured = np.where(hidden, made.millimetres // 2, made.millimetres)
+    save(tmp_path / "test/000002/depth/000000.png", (measured * 4).astype(np.uint16))
+    name = "000000_000001.png"
+    (tmp_path / "test/000002/mask_visib" / name).unlink()
+    save(tmp_path / "test/000002/mask" / name, 255 * whole.astype(np.uint8))
+    digest = Bop(tmp_path).digest
+    data = Bop(tmp_path)
+    ref = data.samples[1]
+    mask = data.load(ref).observation.mask
+    assert (mask == whole & ~(hidden & (measured > 0))).all()
+    assert data.box_of(ref).tolist() == mask_box(mask).tolist()
+    (derived,) = data.derived
+    assert derived.part == "mask"
+    assert derived.samples == {ref.id}
+    assert "amodal" in derived.how
+    (tmp_path / "test/000002/mask" / name).unlink()
+    assert Bop(tmp_path).digest != digest
+
+
+MILLIMETRES, METRES = 1.0, 0.001
+
+
+def as_obj(root: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Object 1 as an OBJ file instead."""
+    ply = root / "models_eval/obj_000001.ply"
+    mesh = read_mesh(ply)
+    ply.unlink()
+    save_obj(ply.with_suffix(".obj"), change(mesh.vertices), mesh.triangles)
+
+
+@pytest.mark.parametrize("unit", [MILLIMETRES, METRES])
+def test_obj_models_with_the_described_box_are_read(tmp_path: Path, unit: float) -> None:
+    made = write_bop(tmp_path)["000002/000000"]
+    as_obj(tmp_path, lambda vertices: unit * vertices)
+    data = Bop(tmp_path)
+    assert (data.missing, data.damaged) == ([], [])
+    check(data.load(data.samples[0]), made, 0, category="obj_000001")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda v: v[:, [0, 2, 1]] * [1, 1, -1], lambda v: v / 25.4, lambda v: v - v.mean(axis=0)],
+    ids=["y up", "inches", "moved"],
+)
+def test_obj_models_of_another_box_are_refused(tmp_path: Path, change) -> None:
+    made = write_bop(tmp_path)["000002/000000"]
+    as_obj(tmp_path, change)
+    data = Bop(tmp_path)
+    (line,) = data.damaged
+    assert "obj_000001.obj: its box is (" in line
+    assert "trimesh.load('obj_000001.obj').export('obj_000001.ply')" in line
+    assert data.missing[0].startswith("models of 1 objects")
+    check(data.load(data.samples[0]), made, 0, mesh=False, category="obj_000001")
+
+
+def test_images_that_are_not_annotated_are_counted(tmp_path: Path) -> None:
+    write_bop(tmp_path)
+    edit(GT, lambda gt: gt.pop("3"))(tmp_path)
+    data = Bop(tmp_path)
+    assert len(data.samples) == 6
+    (line,) = data.missing
+    assert line == (
+        "1 images that scene_gt.json does not list, first test/000002/rgb/000003.png: left out"
+    )
+
+
+def test_depth_of_no_known_unit_is_refused(tmp_path: Path) -> None:
+    """The format has no default."""
+    write_bop(tmp_path)
+    edit(CAMERAS, lambda cameras: cameras["3"].pop("depth_scale"))(tmp_path)
+    data = Bop(tmp_path)
+    (line,) = data.damaged
+    assert line.startswith(f"{tmp_path / CAMERAS}: 1 of 2 images have no depth_scale")
+    assert '"depth_scale": 1.0 if depth is in millimetres' in line
+    assert len(data.samples) == 4
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [{"cam_K": [1, 2]}, {"depth_scale": 0}, {"depth_scale": "x"}],
+    ids=str,
+)
+def test_what_is_wrong_with_a_camera_names_its_file(tmp_path: Path, damage: dict) -> None:
+    write_bop(tmp_path)
+    edit(CAMERAS, lambda cameras: cameras["0"].update(damage))(tmp_path)
+    (line,) = Bop(tmp_path).damaged
+    assert line.startswith(f"{tmp_path / CAMERAS}: image 0: ")
 
 
 def text(file: str, content: str) -> Callable[[Path], object]:
@@ -275,6 +376,8 @@ METHOD = """
 import numpy as np
 from pathlib import Path
 from pytest_cpas.datasets.bop import Bop
+from pytest_cpas.datasets.rendering import render
+from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.types import Hypothesis, MethodInfo, Prediction
 
 class Knows:

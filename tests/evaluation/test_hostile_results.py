@@ -18,7 +18,7 @@ from pytest_cpas.types.errors import LONGEST_MESSAGE
 
 HEADER = {
     "method": "m", "dataset": "d", "shard": "1/1", "selected": 3, "listed": {"mug": 2, "can": 1},
-    "missing": [], "damaged": [], "identity": {"data": "x"},
+    "missing": [], "derived": "", "damaged": [], "identity": {"data": "x"},
     "definitions": {name: fact(name).definition for name in FACTS}, "provenance": {},
     "files": {}, "seeds": 2, "under_contract": False, "nonce": "00",
 }  # fmt: skip

@@ -21,6 +21,7 @@ from pytest_cpas.types import (
     Camera,
     ContractError,
     Dataset,
+    Derived,
     GroundTruth,
     Mesh,
     Observation,
@@ -29,6 +30,7 @@ from pytest_cpas.types import (
     as_dataset,
 )
 from pytest_cpas.types.datasets import mask_box
+from pytest_cpas.types.derived import Part, derived_note, itself
 
 __all__ = [
     "ImageFacts",
@@ -48,6 +50,13 @@ _SIDES = {
     "-x side": (0, -1),
     "+z side": (2, 1),
     "-z side": (2, -1),
+}
+
+
+#: What the checks compare a part with.
+COMPARED: dict[Part, frozenset[str]] = {
+    "mask": frozenset({"mesh", "pose", "depth"}),
+    "extents": frozenset({"mesh"}),
 }
 
 
@@ -124,7 +133,8 @@ class Survey:
     """A data set, and what has been measured of it so far.
 
     ``refs``: all samples it lists; ``unreadable``: per sample why it cannot be loaded;
-    ``elsewhere``: keys of meshes that have been measured for another survey.
+    ``elsewhere``: keys of meshes that have been measured for another survey; ``derived``: of the
+    data set.
     """
 
     name: str
@@ -135,13 +145,28 @@ class Survey:
     meshes: dict[str, MeshFacts] = field(default_factory=dict)
     unreadable: dict[str, str] = field(default_factory=dict)
     elsewhere: Collection[str] = ()
+    derived: Sequence[Derived] = ()
 
     @classmethod
     def of(cls, dataset: Dataset, elsewhere: Collection[str] = ()) -> Survey:
         """Of a data set of which nothing has been measured yet."""
         return cls(
-            dataset.name, dataset.samples, dataset.missing, dataset.damaged, elsewhere=elsewhere
+            dataset.name,
+            dataset.samples,
+            dataset.missing,
+            dataset.damaged,
+            elsewhere=elsewhere,
+            derived=dataset.derived,
         )
+
+    @property
+    def derived_note(self) -> str:
+        """What is derived, in a line; empty for nothing."""
+        return derived_note(self.derived, [ref.id for ref in self.refs])
+
+    def compares_itself(self, sample: str, part: Part) -> bool:
+        """Whether a part of a sample is made of the very things that its check compares it with."""
+        return itself(self.derived, sample, part, COMPARED[part])
 
     @property
     def listed(self) -> Counter[str]:

@@ -214,11 +214,13 @@ def check_meshes_closed(survey: Survey) -> list[Problem] | None:
 
 
 def check_extents(survey: Survey) -> list[Problem] | None:
-    """A sample's extents are those of its mesh's box."""
+    """A sample's extents are those of its mesh's box, unless they are made of it."""
     judged = [
         (facts.extents_error, facts)
         for facts in survey.samples.values()
-        if facts.extents_error is not None and not _size_fault(survey.meshes[facts.mesh])
+        if facts.extents_error is not None
+        and not _size_fault(survey.meshes[facts.mesh])
+        and not survey.compares_itself(facts.sample, "extents")
     ]
     if not judged:
         return None
@@ -269,8 +271,15 @@ def _other_unit(distance: float, offset: float) -> str:
 
 
 def check_masks(survey: Survey) -> list[Problem] | None:
-    """The mask is the visible part of the silhouette; without a mesh, it lies in the box."""
-    judged = list(_sound(survey))
+    """The mask is the visible part of the silhouette; without a mesh, it lies in the box.
+
+    A mask that was rendered is not judged.
+    """
+    judged = [
+        (facts, image)
+        for facts, image in _sound(survey)
+        if not survey.compares_itself(facts.sample, "mask")
+    ]
     if not judged:
         return None
     found = []

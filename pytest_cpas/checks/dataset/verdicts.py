@@ -11,6 +11,7 @@ from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey
 from pytest_cpas.checks.known import KnownFailure, gone
 from pytest_cpas.types import Verdict, VerdictWord
+from pytest_cpas.types.derived import Part
 
 __all__ = ["DatasetWord", "judge"]
 
@@ -34,8 +35,9 @@ class DatasetWord(VerdictWord):
 def judge(survey: Survey, check: str, known: Sequence[KnownFailure] = ()) -> Verdict:
     """Run one of the checks on what was measured; the verdict's subject is the check."""
     problems = CHECKS[check](survey)
+    not_judged = _not_judged(survey, check)
     if problems is None:
-        return Verdict(DatasetWord.NOT_APPLICABLE, check)
+        return Verdict(DatasetWord.NOT_APPLICABLE, check, not_judged)
     known = [fault for fault in known if fault.check == check]
     new = [p for p in problems if not any(_covers(fault, p) for fault in known)]
     happened = [fault for fault in known if any(_covers(fault, p) for p in problems)]
@@ -54,7 +56,29 @@ def judge(survey: Survey, check: str, known: Sequence[KnownFailure] = ()) -> Ver
         reasons = "; ".join(fault.reason for fault in happened)
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return Verdict(DatasetWord.KNOWN, check, f"{problems[0]}{more}. Known: {reasons}")
-    return Verdict(DatasetWord.PASSED, check)
+    return Verdict(DatasetWord.PASSED, check, not_judged)
+
+
+#: The checks that need meshes.
+_OF_MESHES = ("mesh-metric", "mesh-centred", "mesh-closed", "extents", "depth")
+
+#: The part of a sample that a check is about.
+_PARTS: dict[str, Part] = {"masks": "mask", "extents": "extents"}
+
+
+def _not_judged(survey: Survey, check: str) -> str:
+    """Which samples a check does not judge, and why; empty for none."""
+    part = _PARTS.get(check)
+    left_out = [name for name in survey.samples if part and survey.compares_itself(name, part)]
+    if not part or not left_out:
+        of_meshes = check in _OF_MESHES and survey.samples and not survey.meshes
+        return "no sample has a mesh" if of_meshes else ""
+    how = next(
+        each.how for each in survey.derived if each.part == part and each.covers(left_out[0])
+    )
+    some = f"{len(left_out)} of {len(survey.samples)} samples, first {left_out[0]}, "
+    whose = some if len(left_out) < len(survey.samples) else ""
+    return f"{whose}not judged: {part} made of what it would be held against ({how})"
 
 
 def _covers(fault: KnownFailure, problem: Problem) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pytest_cpas.checks.dataset.facts import Survey
+from pytest_cpas.checks.dataset.facts import SampleFacts, Survey
 from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
 from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.report.terminal._table import FEW, Terminal
@@ -22,6 +22,8 @@ def print_survey(
     terminal.section(f"data set {survey.name}")
     for line in survey.missing:
         terminal.write_line(f"missing: {line}")
+    if survey.derived_note:
+        terminal.write_line(f"note: {survey.derived_note}")
     for verdict in verdicts:
         first, *rest = verdict.details.splitlines() or [""]
         more = f" (and {len(rest)} more lines above)" if rest else ""
@@ -57,7 +59,7 @@ def _sample_lines(survey: Survey) -> list[list[str]]:
         cells = ["n/a"] * 3
         if image is not None and image.residual is not None and image.offset is not None:
             cells[:2] = [f"{1000 * image.residual:.1f} mm", f"{1000 * image.offset:+.1f} mm"]
-        if image is not None and image.iou is not None:
+        if image is not None and image.iou is not None and _published_mask(survey, facts):
             cells[2] = f"{image.iou:.3f}"
         lines.append([facts.sample, facts.category, *cells])
     return lines
@@ -66,17 +68,23 @@ def _sample_lines(survey: Survey) -> list[list[str]]:
 def _category_lines(survey: Survey) -> list[list[str]]:
     groups = defaultdict(list)
     for facts in survey.samples.values():
-        groups[facts.category].append(facts.image)
-        groups[ALL].append(facts.image)
+        groups[facts.category].append(facts)
+        groups[ALL].append(facts)
     lines = [["category", "samples", "|depth| median", "95 %", "largest", "IoU median", "smallest"]]
     for category in (*sorted(groups.keys() - {ALL}), ALL):
-        images = groups[category]
-        residuals = [i.residual for i in images if i is not None and i.residual is not None]
-        ious = [i.iou for i in images if i is not None and i.iou is not None]
+        images = [facts.image for facts in groups[category] if facts.image is not None]
+        published = [f.image for f in groups[category] if f.image and _published_mask(survey, f)]
+        residuals = [image.residual for image in images if image.residual is not None]
+        ious = [image.iou for image in published if image.iou is not None]
         cells = ["n/a"] * 5
         if residuals:
             cells[:3] = [f"{1000 * q:.1f} mm" for q in np.quantile(residuals, [0.5, 0.95, 1])]
         if ious:
             cells[3:] = [f"{q:.3f}" for q in np.quantile(ious, [0.5, 0])]
-        lines.append([category, str(len(images)), *cells])
+        lines.append([category, str(len(groups[category])), *cells])
     return lines
+
+
+def _published_mask(survey: Survey, facts: SampleFacts) -> bool:
+    """Whether the mask is another thing than the silhouette that it would be compared with."""
+    return not survey.compares_itself(facts.sample, "mask")
