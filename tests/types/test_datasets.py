@@ -9,6 +9,7 @@ import tiny
 from docs_pages import blocks, section_of, text
 from tiny import Tiny
 
+import pytest_cpas.session.known_faults  # noqa: F401 - which has a wrapper
 from pytest_cpas import registry
 from pytest_cpas.checks.dataset.facts import survey
 from pytest_cpas.datasets._tree import Tree
@@ -144,6 +145,7 @@ def test_what_wrappers_change():
         "DetectedDataset": {"load", "unseen"},
         "Perturbed": {"load"},
         "_Adapted": {"truth", "image_of", "unseen", "box_of"},
+        "_WithoutFaults": {"load", "truth"},
     }
     whole = Held(None)
     part = Perturbed(whole)
