@@ -64,6 +64,7 @@ LEFT_OUT, WITHOUT_SHAPE = "left out", "without shape"
 
 #: The checks of data sets that measure something, and its unit.
 MEASURING = {
+    "fits": "metres",
     "mesh-centred": "metres",
     "mesh-closed": "open edges",
     "extents": "metres",

@@ -46,7 +46,8 @@ class Record(NamedTuple):
     (3,), metres: object to camera, in the axes of :mod:`pytest_cpas.types`. ``extents`` (3,),
     metres, or the mesh's box. The mask is where the mask image has ``mask_id``, or is not 0;
     without an image, the mesh is rendered. ``amodal``: the image shows also what others hide, of
-    which the part that was measured nearer than the mesh is left out.
+    which the part that was measured nearer than the mesh is left out. ``fit_error``: metres, as of
+    :meth:`pytest_cpas.types.Dataset.fit_error`.
     """
 
     rgb: str
@@ -61,6 +62,7 @@ class Record(NamedTuple):
     depth_per_metre: float = 1000.0
     symmetry: str | None = None
     amodal: bool = False
+    fit_error: float | None = None
 
 
 class RecordTree(Tree):
@@ -111,6 +113,10 @@ class RecordTree(Tree):
             )
         except ContractError as error:
             raise DataError(f"{ref.id}: {error}") from None
+
+    def fit_error(self, ref: SampleRef) -> float | None:
+        """How well a fitted pose fits, metres."""
+        return Record(*self._details[ref.id]).fit_error
 
     def box_of(self, ref: SampleRef) -> Array | None:
         """The 2-D box of what is seen of an object: that of its mask."""

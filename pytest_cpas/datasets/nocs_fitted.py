@@ -90,6 +90,7 @@ class FittedTree(NocsTree):
         root, frames = find_marked(name, data_dir, self.layouts, "real275")
         super().__init__(name, root, camera, frames)
         self._read_coord = functools.lru_cache(maxsize=2)(read_rgb)
+        self._last_fit = functools.lru_cache(maxsize=1)(self._fit_to_map)
 
     def _files(self, frame: str) -> dict[str, str]:
         stem = f"{self.frames}/{frame}"
@@ -163,8 +164,16 @@ class FittedTree(NocsTree):
             pose=pose, extents=extents, symmetry=symmetry_of(ref.category), surface=mesh
         )
 
+    @raised_as(DataError)
+    def fit_error(self, ref: SampleRef) -> float | None:
+        """The median distance of the measured points from where the map has them, metres."""
+        return self._last_fit(ref, Listed(*self._details[ref.id]))[1]
+
     def _fit(self, ref: SampleRef, item: Listed) -> Similarity:
-        """From the NOCS map, in ShapeNet axes and centred, to the camera."""
+        return self._last_fit(ref, item)[0]
+
+    def _fit_to_map(self, ref: SampleRef, item: Listed) -> tuple[Similarity, float]:
+        """From the NOCS map, in ShapeNet axes and centred, to the camera; and how well it fits."""
         frame = ref.id.rsplit("/", 1)[0]
         path = self.root / f"{self.frames}/{frame}_coord.png"
         depth = self._depth(frame)
@@ -174,13 +183,11 @@ class FittedTree(NocsTree):
         points = self.camera.back_project(depth, mask)
         step = -(-len(points) // _FITTED)
         try:
-            return robust_umeyama(
-                ((nocs - 0.5) @ NOCS_FROM_SHAPENET)[::step],
-                points[::step],
-                np.random.default_rng(0),
-            )
+            mapped, points = ((nocs - 0.5) @ NOCS_FROM_SHAPENET)[::step], points[::step]
+            fitted = robust_umeyama(mapped, points, np.random.default_rng(0))
         except NoSimilarityError as error:
             raise DataError(f"{path}, object {item.mask_id}: {error}") from None
+        return fitted, float(np.median(fitted.residuals(mapped, points)))
 
     def _depth(self, frame: str) -> NDArray[np.float32]:
         return self._read_depth(self.root / self._depth_path(frame), self.camera)

@@ -161,6 +161,7 @@ class Tod(RecordTree):
                 extents=extents,
                 mesh=f"objects/{sequence.split('/')[0]}.obj",
                 mask=mask,
+                fit_error=float(apart.max()),
             )
             ref_id = f"{sequence}/{image}"
             name = sequence.split("/")[0]

@@ -91,6 +91,12 @@ class Dataset(ABC):
         ``scene_1/0000``; here that of a data set with one object an image: the sample's id."""
         return ref.id
 
+    def fit_error(self, ref: SampleRef) -> float | None:
+        """How well a fitted pose fits, metres: how far what it is fitted to is from where the posed
+        model has it, of a few points the largest distance, of many the median. None, as here, where
+        poses are published. Raises :class:`DataError` naming the file that is damaged."""
+        return None
+
     def unseen(self, ref: SampleRef) -> str | None:
         """Why there is nothing that a method could be asked about a sample, which then counts as
         one without an answer, such as "not detected"; None, as here, where there is something."""
@@ -146,6 +152,10 @@ class WrappedDataset(Dataset):
     def image_of(self, ref: SampleRef) -> str:
         """The image that a sample is in."""
         return self._dataset.image_of(ref)
+
+    def fit_error(self, ref: SampleRef) -> float | None:
+        """How well a fitted pose fits, metres."""
+        return self._dataset.fit_error(ref)
 
     def unseen(self, ref: SampleRef) -> str | None:
         """Why a method is not asked about a sample."""
@@ -260,6 +270,7 @@ class _Adapted(WrappedDataset):
         self.quick_truth = bool(getattr(made, "quick_truth", self._has_truth))
 
     image_of = Dataset.image_of
+    fit_error = Dataset.fit_error
     unseen = Dataset.unseen
     box_of = Dataset.box_of
 

@@ -15,6 +15,7 @@ import test_bop
 import test_folder
 import test_nocs_fitted
 import test_other_layouts
+from PIL import Image
 from redwood_frames import write_images
 from test_redwood import ANNOTATION
 from trees import frame, save, save_obj
@@ -241,3 +242,43 @@ def test_nothing_is_said_where_nothing_is_derived(tmp_path):
     data = open_dataset("bop", tmp_path)
     assert data.derived == ()
     assert survey(data, []).derived_note == ""
+
+
+# -- fitted poses -------------------------------------------------------------------------------
+
+
+def move_a_keypoint(root: Path) -> None:
+    """Of the mug in image 1 by 7.5 mm: less than what the reader refuses."""
+    path = root / "data/mug_0/texture_5_pose_0/000001_L.pbtxt"
+    head, mark, rest = path.read_text().partition(" z: ")
+    number, _, rest = rest.partition("\n")
+    path.write_text(f"{head}{mark}{float(number) + 0.015}\n{rest}")
+
+
+def mix_up_the_map(root: Path) -> None:
+    """Of the mug in half of its pixels, where it then says other places."""
+    path = root / "real_train/scene_2/0010_coord.png"
+    with Image.open(path) as image:
+        pixels = np.array(image)
+    pixels[:, ::2] = np.roll(pixels, 9, axis=0)[:, ::2]
+    pixels[:, 1::2] = np.roll(pixels, -9, axis=0)[:, 1::2]
+    save(path, pixels)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "damage", "sound"),
+    [
+        ("tod", test_other_layouts.write_tod, move_a_keypoint, 0.1),
+        ("real_train", test_nocs_fitted.write_real_train, mix_up_the_map, 2.0),
+    ],
+)
+def test_how_well_poses_fit_is_told_and_has_a_limit(tmp_path, name, write, damage, sound):
+    write(tmp_path)
+    verdict = judge(survey(open_dataset(name, tmp_path)), "fits")
+    assert verdict.word is DatasetWord.PASSED
+    median, largest = map(float, re.findall(r"(\d+\.\d) mm", verdict.details))
+    assert median <= largest < sound
+    damage(tmp_path)
+    verdict = judge(survey(open_dataset(name, tmp_path)), "fits")
+    assert verdict.word is DatasetWord.FAILED
+    assert "what its pose is fitted to is" in verdict.details

@@ -61,7 +61,7 @@ def test_fault_is_named(check, pytester, how):
     result = check("--junitxml=out.xml", "--cpas-pictures=pictures", *how)
     assert result.ret == 1
     items = 1 if how == ("--cpas-granularity=scene",) else 3
-    result.assert_outcomes(passed=items + 8, failed=1, skipped=3)
+    result.assert_outcomes(passed=items + 8, failed=1, skipped=4)
     result.stdout.fnmatch_lines(
         [
             "scene_1/0001/1 (bottle, bottle_0): the median |measured - rendered| depth is 4*",
@@ -70,7 +70,7 @@ def test_fault_is_named(check, pytester, how):
             "scene_1/0001/1    bottle * 4?.? mm  +4?.? mm  0.*",
             "category  samples  |depth| median*",
             "bottle          3 * mm* mm* mm *",
-            "held: 3 of 3 samples examined, with 1 meshes; 12 checks: 8 passed, 1 FAILED, 3 n/a",
+            "held: 3 of 3 samples examined, with 1 meshes; 13 checks: 8 passed, 1 FAILED, 4 n/a",
             "FAILED cpas-dataset::depth[[]held] - *",
         ]
     )
@@ -89,7 +89,7 @@ def test_known_fault_is_visible_and_green(check, pytester, how):
     known(pytester, check="depth", sample="scene_1/0001/*", reason="the bench was kicked")
     result = check(*how)
     assert result.ret == 0
-    result.assert_outcomes(passed=11, xfailed=1, skipped=3)
+    result.assert_outcomes(passed=11, xfailed=1, skipped=4)
     result.stdout.fnmatch_lines(
         ["depth         known   scene_1/0001/1 *. Known: the bench was kicked"]
     )

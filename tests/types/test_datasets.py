@@ -144,7 +144,7 @@ def test_what_wrappers_change():
     assert own == {
         "DetectedDataset": {"load", "unseen"},
         "Perturbed": {"load"},
-        "_Adapted": {"truth", "image_of", "unseen", "box_of"},
+        "_Adapted": {"truth", "image_of", "fit_error", "unseen", "box_of"},
         "_WithoutFaults": {"load", "truth"},
     }
     whole = Held(None)

@@ -10,7 +10,7 @@ import functools
 import hashlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,8 @@ class SampleFacts:
     ``up``: the object's up axis in the camera frame. ``distance``: z of the object's centre.
     ``mesh``: key of its mesh, empty if there is none. ``extents_error``: largest difference of a
     side of the mesh's box from the sample's extents, None without a mesh. ``image``: None where a
-    copy of the data set has the truth without the images.
+    copy of the data set has the truth without the images. ``fit_error``: how well the pose fits,
+    None where it is published.
     """
 
     sample: str
@@ -100,6 +101,7 @@ class SampleFacts:
     mesh: str
     extents_error: float | None
     image: ImageFacts | None
+    fit_error: float | None = None
 
 
 @dataclass(frozen=True)
@@ -202,10 +204,11 @@ class Survey:
             else:
                 sample = dataset.load(ref)
                 truth, seen = sample.truth, sample.observation
+            fit_error = dataset.fit_error(ref)
         except ContractError as error:
             self.unreadable[ref.id] = str(error)
             return
-        facts = measure_sample(ref, truth, seen)
+        facts = replace(measure_sample(ref, truth, seen), fit_error=fit_error)
         self.samples[ref.id] = facts
         new = facts.mesh not in self.meshes and facts.mesh not in self.elsewhere
         if new and isinstance(truth.surface, Mesh):

@@ -22,6 +22,10 @@ __all__ = ["CHECKS", "Check", "Problem"]
 #: paper's F-score calls two surfaces different.
 MAX_RESIDUAL = 0.01
 
+#: How badly a pose may fit what it is fitted to, metres: half of that, where it is a few points; of
+#: many measured ones, of which half may be off, all of it.
+MAX_FIT = MAX_RESIDUAL / 2
+
 #: Smallest IoU of mask and silhouette. Fingers on an object that are less than 1 cm thick count
 #: against it; the embedded hand-held data set goes down to 0.80.
 MIN_IOU = 0.7
@@ -154,6 +158,35 @@ def _pose_fault(facts: SampleFacts) -> str:
         if not (-0.25 * width < u < 1.25 * width and -0.25 * height < v < 1.25 * height):
             return f"its centre projects to ({u:.0f}, {v:.0f}), outside of {width} x {height}"
     return ""
+
+
+def check_fits(survey: Survey) -> list[Problem] | None:
+    """A fitted pose fits: what it is fitted to is where the posed model has it."""
+    judged = [
+        (facts.fit_error, _fit_limit(survey, facts.sample), facts)
+        for facts in survey.samples.values()
+        if facts.fit_error is not None
+    ]
+    if not judged:
+        return None
+    return [
+        _problem(
+            facts,
+            f"what its pose is fitted to is {1000 * error:.1f} mm from where the posed model has"
+            f" it, expected at most {1000 * limit:g} mm",
+            error,
+        )
+        for error, limit, facts in sorted(judged, key=lambda entry: -entry[0])
+        if error > limit
+    ]
+
+
+def _fit_limit(survey: Survey, sample: str) -> float:
+    measured = any(
+        each.part == "pose" and "depth" in each.made_of and each.covers(sample)
+        for each in survey.derived
+    )
+    return MAX_RESIDUAL if measured else MAX_FIT
 
 
 def check_meshes_metric(survey: Survey) -> list[Problem] | None:
@@ -338,6 +371,7 @@ CHECKS: dict[str, Check] = {
     "counts": check_counts,
     "intrinsics": check_intrinsics,
     "poses": check_poses,
+    "fits": check_fits,
     "mesh-metric": check_meshes_metric,
     "mesh-centred": check_meshes_centred,
     "mesh-closed": check_meshes_closed,

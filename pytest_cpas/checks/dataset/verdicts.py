@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from statistics import median
 from typing import TYPE_CHECKING
 
 from pytest_cpas._deprecation import deprecated
@@ -35,7 +36,7 @@ class DatasetWord(VerdictWord):
 def judge(survey: Survey, check: str, known: Sequence[KnownFailure] = ()) -> Verdict:
     """Run one of the checks on what was measured; the verdict's subject is the check."""
     problems = CHECKS[check](survey)
-    not_judged = _not_judged(survey, check)
+    not_judged = _fits(survey) if check == "fits" else _not_judged(survey, check)
     if problems is None:
         return Verdict(DatasetWord.NOT_APPLICABLE, check, not_judged)
     known = [fault for fault in known if fault.check == check]
@@ -64,6 +65,14 @@ _OF_MESHES = ("mesh-metric", "mesh-centred", "mesh-closed", "extents", "depth")
 
 #: The part of a sample that a check is about.
 _PARTS: dict[str, Part] = {"masks": "mask", "extents": "extents"}
+
+
+def _fits(survey: Survey) -> str:
+    """How well fitted poses fit."""
+    errors = [1000 * f.fit_error for f in survey.samples.values() if f.fit_error is not None]
+    if not errors:
+        return "no pose is fitted" if survey.samples else ""
+    return f"off by {median(errors):.1f} mm (median of {len(errors)}), at most {max(errors):.1f} mm"
 
 
 def _not_judged(survey: Survey, check: str) -> str:
