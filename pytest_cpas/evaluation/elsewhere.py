@@ -14,14 +14,14 @@ import os
 import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from pytest_cpas.reading.structured import parse_json
 from pytest_cpas.types import ContractError
 
-__all__ = ["Start", "installed_from_elsewhere", "module_names", "values", "variables"]
+__all__ = ["Start", "installed_from_elsewhere", "module_names", "providers", "values", "variables"]
 
 _VARIABLE = re.compile(r"[A-Z][A-Z0-9_]{2,}")
 
@@ -31,6 +31,10 @@ _OF_MACHINES = re.compile(
     r"|VIRTUAL_ENV|RANK|LOCAL_RANK|WORLD_SIZE|CUDA_VISIBLE_DEVICES|CI"
     r"|(CPAS|PYTEST|SLURM|GITHUB|MASTER|XDG|CONDA)_.*"
 )
+
+#: A path below a folder, or up from it; and how many folders up from a module one is looked for.
+_BELOW = re.compile(r"/?[\w.-]+(/[\w.-]+)*")
+_LONGEST_PATH, _ABOVE = 200, 4
 
 _MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
@@ -81,6 +85,25 @@ def module_names(texts: Iterable[str]) -> list[str]:
     """What may be the name of a module, or of something in one (``package.module:Class``)."""
     names = {text.partition(":")[0] for text in texts}
     return sorted(name for name in names if len(name) < 100 and _MODULE.fullmatch(name))
+
+
+def providers(texts: Mapping[Path, Collection[str]], modules: Collection[str]) -> list[Path]:
+    """Folders with one of ``modules`` that the text of a module names, from the one it is in or
+    from those above it: ``os.path.join(os.path.dirname(__file__), "..", "third_party")``."""
+    found = set()
+    for path, some in texts.items() if modules else ():
+        for text in some:
+            if len(text) < _LONGEST_PATH and _BELOW.fullmatch(text):
+                for start in path.parents[:_ABOVE]:
+                    with suppress(OSError):
+                        folder = (start / text.lstrip("/")).resolve()
+                        if any(_has_module(folder, name) for name in modules):
+                            found.add(folder)
+    return sorted(found)
+
+
+def _has_module(folder: Path, name: str) -> bool:
+    return (folder / f"{name}.py").is_file() or (folder / name / "__init__.py").is_file()
 
 
 def installed_from_elsewhere(distributions: Iterable[str]) -> dict[str, str]:

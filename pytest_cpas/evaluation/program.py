@@ -34,6 +34,7 @@ from pytest_cpas.evaluation.elsewhere import (
     Start,
     installed_from_elsewhere,
     module_names,
+    providers,
     values,
     variables,
 )
@@ -149,6 +150,7 @@ def _look_for(names: str, parts: Sequence[type | Callable[..., object]], start: 
     search = _Search()
     for module in sorted(modules):
         search.follow(module)
+    search.follow_provided()
     sources = [_source_of(part) for part in parts if not _is_of_python(part)]
     known = [source for source in sources if source in search.files]
     if not known or len(known) < len(sources):
@@ -209,6 +211,7 @@ class _Search:
             Path(sysconfig.get_path(name)).resolve() for name in ("purelib", "platlib")
         ]
         self._distributions: set[str] = set()
+        self._unknown: set[str] = set()
 
     def beside(self) -> _Search:
         """Another one, to which the same distributions are the program's own."""
@@ -235,8 +238,8 @@ class _Search:
             path = _file_of(name)
             if path is None:
                 # an attribute of a module, something optional, or a distribution without a file
-                if "." not in name and top in _distributions():
-                    self._foreign.add(top)
+                if "." not in name:
+                    (self._foreign if top in _distributions() else self._unknown).add(top)
                 continue
             if not self._is_own(top, path):
                 self._foreign.add(top)
@@ -249,6 +252,18 @@ class _Search:
                 waiting += imports
                 self.texts[path] = texts
                 self.data |= {file: f"{name}/{file.name}" for file in _named_files(texts, path)}
+
+    def follow_provided(self) -> None:
+        """Take in what is imported and was not found, and is in a folder that a text names: it may
+        be put on the path before."""
+        own = {path: t for path, t in self.texts.items() if not _is_harness(self.files[path])}
+        for folder in providers(own, self._unknown):
+            start = Start.now()
+            with replace(start, path=[*start.path, str(folder)]).imports():
+                unknown, self._unknown = self._unknown, set()
+                self._seen -= unknown
+                for name in sorted(unknown):
+                    self.follow(name, own=False)
 
     def _is_own(self, top: str, path: Path) -> bool:
         """Whether a file is the program's: of the same distribution, of none, whose version would

@@ -20,6 +20,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from pytest_cpas.evaluation.kinds_of_files import CODE, READ, SETTINGS, TELLS, TOOLS
 from pytest_cpas.reading.files import opened, sha256
 from pytest_cpas.types import DataError, some_of
 
@@ -40,27 +41,6 @@ __all__ = [
     "united",
 ]
 
-#: What is code, whoever runs it, by the end of its name.
-_CODE = re.compile(
-    r".*\.(py[cdwxz]?|pxd|so(\.\d+)*|dll|dylib|[ao]|(ba)?sh|bat|ps1|zip|egg|whl|c|cc|cpp|cxx|cuh?|h|hh"
-    r"|hpp|cl|glsl|ptx|lua|jl|m|r|pl|js|wasm)",
-    re.IGNORECASE | re.DOTALL,
-)
-
-#: What is read while code runs, settings and tables of numbers, or is code.
-_READ = re.compile(
-    r".*\.(json5?|ya?ml|toml|ini|cfg|conf|gin|env|xml|prototxt|pbtxt|np[yz]|pkl|pickle|pth?|ckpt|onnx"
-    rf"|h5|hdf5|safetensors|mat|joblib|bin)|{_CODE.pattern}",
-    re.IGNORECASE | re.DOTALL,
-)
-
-#: What tells of a program, or grows while it runs, and is read by none, unless its text names it.
-_TELLS = re.compile(
-    r"\..*|.*~|.*\.(md|rst|log|out|err|jsonl|lock|old|orig|bak|tmp|sw[op]|part)"
-    r"|(.*[^a-z])?logs?(\.txt)?|(readme|licen[cs]e|copying|changelog|changes|notice)(\.txt)?",
-    re.IGNORECASE | re.DOTALL,
-)
-
 _ARCHIVES = frozenset({".zip", ".egg", ".whl", ".pyz"})
 
 #: What marks the folder of a project.
@@ -71,12 +51,8 @@ _NEVER = frozenset(
     {"__pycache__", "site-packages", "dist-packages", "node_modules", ".git", ".cache"}
 )
 
-#: Folders, and files, that are about a method and no part of it, unless its text names them.
+#: Folders that are about a method and no part of it, unless its text names them.
 _ASIDE = frozenset({"tests", "test", "docs", "doc"})
-_TOOLS = re.compile(
-    r"test_.*\.py|.*_test\.py|conftest\.py|setup\.(py|cfg)|pyproject\.toml|noxfile\.py"
-    r"|(pytest|tox)\.ini|mkdocs\.yml|(.*\.)?known\.toml"
-)
 
 #: What lies together in a folder that this plugin has written, or that is a virtual environment.
 _WRITTEN = (
@@ -161,21 +137,23 @@ class _Look:
         self._words = {
             part for parts in texts.values() for text in parts for part in re.split(r"[/\\]", text)
         }
-        self._seen: set[tuple[Path, bool]] = set()
+        self._seen: set[tuple[Path, re.Pattern[str] | None]] = set()
         self._tried: set[Path] = set()
 
     def name(self, path: Path, root: Path) -> None:
         """Take a file in, under its name below ``root``."""
         self.found.setdefault(path, path.relative_to(root).as_posix())
 
-    def into(self, root: Path, *, within: Path | None = None, only_code: bool = False) -> None:
+    def into(
+        self, root: Path, *, within: Path | None = None, only: re.Pattern[str] | None = None
+    ) -> None:
         """Take in what counts below a folder, as far as that is looked at: the nearest first.
 
-        Names are relative to ``within``, or to ``root``.
+        Names are relative to ``within``, or to ``root``; ``only``: what counts by its name.
         """
-        if (root, only_code) in self._seen:
+        if (root, only) in self._seen:
             return
-        self._seen.add((root, only_code))
+        self._seen.add((root, only))
         entries = files = others = 0
         level = [root]
         while level:
@@ -188,14 +166,18 @@ class _Look:
                 entries += len(there)
                 for entry in there:
                     path = Path(entry.path)
-                    if _is_folder(entry):
+                    if _is_folder(entry) and not (only is SETTINGS and entry.is_symlink()):
                         below += [path] if self._is_entered(path) else []
+                    elif only is None and _is_link_to_data(entry) and self._is_entered(path):
+                        # where it leads to, and the settings there
+                        self.name(path, within or root)
+                        self.into(path, within=within or root, only=SETTINGS)
                     elif not self._counts(path) or not _is_file(entry):
                         continue
-                    elif (_CODE if only_code else _READ).fullmatch(path.name):
+                    elif (only or READ).fullmatch(path.name):
                         self.name(path, within or root)
                         files += 1
-                    elif others < _MOST_FILES and self._is_read(path):
+                    elif only is not SETTINGS and others < _MOST_FILES and self._is_read(path):
                         # they take no place from code and settings
                         self.name(path, within or root)
                         others += 1
@@ -223,13 +205,13 @@ class _Look:
         elif path.is_dir() and start != _HOME:  # where folders are everybody's
             path = path.resolve()
             if self._is_entered(path) and path not in _everybodys():
-                self.into(path, only_code=True)
+                self.into(path, only=CODE)
 
     def at_distribution(self, name: str) -> None:
         """Take in what counts of the files that were installed with a distribution."""
         for file in importlib.metadata.files(name) or ():
             path = Path(str(file.locate()))
-            counts = _READ.fullmatch(path.name) or self._is_read(path)
+            counts = READ.fullmatch(path.name) or self._is_read(path)
             if counts and _NEVER.isdisjoint(file.parts) and path.is_file():
                 self.found.setdefault(path.resolve(), file.as_posix())
 
@@ -237,16 +219,16 @@ class _Look:
         name = folder.name
         if folder in self._holding:
             return True
-        if name in _NEVER or folder in _left_out:
+        if name in _NEVER or folder in _left_out or folder.resolve() in _left_out:
             return False
         return (name not in _ASIDE and not name.startswith(".")) or name in self._words
 
     def _is_read(self, path: Path) -> bool:
         """Whether a file that is neither code nor settings by its name may be read by code."""
-        return path.name in self._words or not _TELLS.fullmatch(path.name)
+        return path.name in self._words or not TELLS.fullmatch(path.name)
 
     def _counts(self, path: Path) -> bool:
-        return path in self._own or path.name in self._words or not _TOOLS.fullmatch(path.name)
+        return path in self._own or path.name in self._words or not TOOLS.fullmatch(path.name)
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
@@ -263,6 +245,10 @@ def _is_folder(entry: os.DirEntry[str]) -> bool:
         linked = os.path.isdir(entry.path)
         return linked and any(seen.name.endswith(".py") for seen in _entries(Path(entry.path)))
     return entry.is_dir()
+
+
+def _is_link_to_data(entry: os.DirEntry[str]) -> bool:
+    return entry.is_symlink() and os.path.isdir(entry.path)
 
 
 def _is_file(entry: os.DirEntry[str]) -> bool:
@@ -303,7 +289,7 @@ def digests_of(files: Mapping[Path, str]) -> dict[Path, str]:
     digests = {}
     total = 0
     for path in sorted(
-        sizes, key=lambda path: (not _READ.fullmatch(path.name), sizes[path], files[path])
+        sizes, key=lambda path: (not READ.fullmatch(path.name), sizes[path], files[path])
     ):
         total += min(sizes[path], WHOLE)
         digests[path] = _told_size(sizes[path]) if total > _ALL else _digest(path, sizes[path])
@@ -339,7 +325,7 @@ def digest_of_start(path: Path, size: int) -> str:
 
 def may_grow(path: Path) -> bool:
     """Whether a file may be something's output by its name: it is neither code nor settings."""
-    return not _READ.fullmatch(path.name)
+    return not READ.fullmatch(path.name)
 
 
 def _told_size(size: int) -> str:
@@ -355,6 +341,8 @@ def _size(path: Path) -> int | None:
 
 def _digest(path: Path, size: int) -> str:
     try:
+        if path.is_dir():  # a link: what it says
+            return hashlib.sha256(os.fsencode(os.readlink(path))).hexdigest()[:16]
         return sha256(path)[:16] if size <= WHOLE else piecewise_digest(path)
     except (DataError, OSError):
         return "unreadable"

@@ -1,6 +1,7 @@
 """What a method reaches without an import is part of its program, and is named when it changed."""
 
 import importlib
+import os
 import sys
 from pathlib import Path
 
@@ -274,3 +275,68 @@ def test_a_large_file_is_known_by_pieces(tmp_path, monkeypatch):
     assert len(seen) == 3
     monkeypatch.setattr(surroundings, "_ALL", 0)
     assert surroundings.digests_of({path: "model.pt"}) == {path: "4096 bytes"}
+
+
+@pytest.mark.parametrize("change", ["where it leads to", "what is there", "nothing"])
+def test_a_link_to_a_folder_counts(project, tmp_path_factory, change):
+    """Of what it leads to, code and settings; a link back up is no endless tree."""
+    first, second = (tmp_path_factory.mktemp(name) for name in ("first", "second"))
+    for folder in (first, second):
+        write(folder / "deep/angle.yaml", "0")
+        write(folder / "0001.png", folder.name)
+    os.symlink(first, project / "latest")
+    os.symlink(project, first / "deep/back")
+    before = a_run(project).files
+    if change == "what is there":
+        write(first / "deep/angle.yaml", "7")
+    elif change == "where it leads to":
+        (project / "latest").unlink()
+        os.symlink(second, project / "latest")
+    else:
+        write(first / "0001.png", "another image")
+    told = {"what is there": "latest/deep/angle.yaml", "where it leads to": "latest"}.get(change)
+    assert [*surroundings.changed_names(before, a_run(project).files)] == [told] * bool(told)
+
+
+def test_a_link_that_is_left_out_is_not_looked_into(project, tmp_path_factory):
+    data = tmp_path_factory.mktemp("data")
+    write(data / "scene.json", "0")
+    os.symlink(data, project / "data")
+    surroundings.leave_out([data])
+    before = a_run(project).files
+    write(data / "scene.json", "7")
+    assert a_run(project).files == before
+
+
+JOINED = {
+    "os.path": "os.path.join(os.path.dirname(__file__), '..', '..', 'third')",
+    "pathlib": "str(Path(__file__).resolve().parent.parent.parent / 'third')",
+    "deep": "os.path.join(os.path.dirname(__file__), '../../third')",
+    "home": "os.path.dirname(__file__) + '/third'",
+}
+
+
+@pytest.mark.parametrize("how", JOINED)
+def test_what_a_folder_on_the_path_would_have(project, tmp_path_factory, how):
+    """Research code puts a checkout beside its own on the path, in ``load``."""
+    other = project / ("adapters/third" if how == "home" else "third")
+    if how != "home":
+        other = project.parent / "third"
+        other.mkdir(exist_ok=True)
+    text = f"""
+import os, sys
+from pathlib import Path
+import tiny
+
+class Mine(tiny.Perfect):
+    def load(self, assets, device):
+        sys.path.insert(0, {JOINED[how]})
+        import elsewhere_net
+"""
+    seen = []
+    for angle in (0, 7):
+        write(other / "elsewhere_net.py", "import elsewhere_part")
+        write(other / "elsewhere_part.py", f"angle = {angle}")
+        seen.append(a_run(project, text).provenance["code"])
+        assert not [name for name in sys.modules if name.startswith("elsewhere_")]
+    assert seen[0] != seen[1]

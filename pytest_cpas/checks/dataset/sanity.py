@@ -293,14 +293,10 @@ def check_depth(survey: Survey) -> list[Problem] | None:
 
 def _other_unit(distance: float, offset: float) -> str:
     """What tells of a depth image whose steps are another unit than the reader takes."""
-    ratio = (distance + offset) / distance
-    for unit in (0.001, 0.01, 0.1, 10, 100, 1000):
-        if unit / 1.5 < ratio < unit * 1.5:
-            return (
-                f"; what was measured is about {unit:g} times as far as the object: is a step of"
-                " the depth image of another length?"
-            )
-    return ""
+    times = 1 + offset / distance
+    near = [unit for unit in (0.001, 0.01, 0.1, 10, 100, 1000) if 2 / 3 < times / unit < 3 / 2]
+    told = "; what was measured is about {:g} times as far as the object: is a step of the depth"
+    return (told + " image of another length?").format(*near) if near else ""
 
 
 def check_masks(survey: Survey) -> list[Problem] | None:
