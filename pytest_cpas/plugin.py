@@ -47,7 +47,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-allow-gaps": ("--cpas-merge",),
     "--cpas-examples": ("--cpas-metrics",),
     "--cpas-metrics-report": ("--cpas-metrics",),
-    "--cpas-known-faults": ("--cpas-dataset", "--cpas-check-dataset"),
+    "--cpas-known-faults": ("--cpas-check-dataset", "--cpas-dataset"),
     "--cpas-pictures": ("--cpas-check-dataset",),
 }
 

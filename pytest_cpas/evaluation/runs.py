@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -91,6 +91,14 @@ class Selection:
         chosen = [s for s in samples if not self.categories or s.category in self.categories]
         limited = chosen if self.limit is None else evenly(chosen, self.limit)
         return limited[self.shard - 1 :: self.shards]
+
+    def check(self, there: Collection[str]) -> None:
+        """Raise :class:`ValueError` for a category that is asked for and not ``there``."""
+        if unknown := [name for name in self.categories if name not in there]:
+            raise ValueError(
+                f"--cpas-category {', '.join(unknown)}: no sample is of that category; those that"
+                f" can be judged are of {', '.join(sorted(there))}"
+            )
 
 
 class Run(ABC):

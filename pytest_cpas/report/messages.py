@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from pytest_cpas.checks.contract import CONTRACT
 from pytest_cpas.documents import (
     ChangeDocument,
     ContractDocument,
@@ -78,6 +79,8 @@ def contract_message(results: Sequence[ContractDocument]) -> str:
         names = [result["check"] for result in judged if result["status"] == status]
         if names:
             parts.append(f"{len(names)} {announced}: {', '.join(names)}")
+    if lacking := CONTRACT.keys() - {result["check"] for result in results}:
+        parts.append(f"{len(lacking)} were not made, or raised: {some_of(sorted(lacking))}")
     return "; ".join(parts)
 
 

@@ -25,6 +25,7 @@ class CheckedDataset:
         self, dataset: Dataset, refs: Sequence[SampleRef], known: Sequence[KnownFailure] = ()
     ) -> None:
         self.name, self.refs = dataset.name, refs
+        self.categories = {ref.category for ref in dataset.samples}
         self._dataset, self._known = dataset, known
         self._survey = Survey.of(dataset)
         #: Keys of the meshes that this process has measured.

@@ -50,6 +50,7 @@ class DatasetSession(SuiteSession):
                 if not checked.refs and not checked.survey.damaged:
                     lines = [f"{checked.name}: no samples to check", *checked.survey.missing]
                     raise ValueError("\n".join(lines))
+            options.selection.check({c for checked in self.checked for c in checked.categories})
         self._verdicts: dict[CheckedDataset, list[Verdict]] = {
             checked: [] for checked in self.checked
         }

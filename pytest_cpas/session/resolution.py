@@ -74,6 +74,7 @@ def resolve_runs(options: RunOptions) -> list[Run]:
             f" {', '.join(sorted(judged))}"
         )
     _check_runs(runs, options.selection.categories)
+    options.selection.check({category for run in runs for category in run.listed})
     return runs
 
 

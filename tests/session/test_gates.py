@@ -196,3 +196,13 @@ def test_recording_says_that_it_demands_nothing(cpas, demands):
     assert result.ret == 0
     told = "--snapshot-update has recorded, and nothing was judged: --cpas-require-golden"
     assert (told in result.stdout.str()) == demands
+
+
+@pytest.mark.parametrize("asked", [("mgu", "mug"), ("MUG", "mug"), ("mug", "")])
+@pytest.mark.parametrize("how", ["--cpas-require-golden", "--snapshot-update"])
+def test_a_category_that_nothing_is_of_is_refused_beside_one_that_is(recorded, asked, how):
+    result = recorded("Perfect", *[f"--cpas-category={name}" for name in asked], how)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    (wrong,) = {*asked} - {"mug"}
+    told = f"--cpas-category {wrong}: no sample is of that category; *are of bowl, mug"
+    result.stderr.fnmatch_lines([f"*{told}*"])
