@@ -6,6 +6,7 @@ import difflib
 import functools
 import importlib
 import inspect
+from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -46,7 +47,8 @@ def registered(kind: Kind) -> list[EntryPoint]:
 def resolve(kind: Kind, name: str) -> Any:
     """What is registered as ``name``, or named as ``package.module:Class``.
 
-    A registered data set named as ``NAME:DIR`` is looked for in ``DIR`` and nowhere else.
+    A registered data set named as ``NAME:DIR`` is looked for in ``DIR`` and nowhere else; one that
+    is made without a folder says as ``in_folder`` what it is in one, ``package.module:Class``.
 
     Metric implementations are mappings ``METRICS``; ``package.module`` names one as well.
 
@@ -57,6 +59,8 @@ def resolve(kind: Kind, name: str) -> Any:
         module, _, attribute = name.partition(":")
         if kind == "dataset" and module in {entry.name for entry in registered(kind)}:
             make = resolve(kind, module)
+            if in_folder := getattr(make, "in_folder", None):
+                make = resolve(kind, in_folder)
             return functools.wraps(make)(lambda data_dir: make(Path(attribute)))
         return _load(kind, name, module, attribute, "")
     if kind == "metric" and "." in name:
@@ -78,6 +82,21 @@ def resolve(kind: Kind, name: str) -> Any:
         )
     entry = entries[0]
     return _load(kind, name, entry.module, entry.attr, f", registered by {_owner(entry)}")
+
+
+def open_datasets(names: Sequence[str], data_dir: Path | None) -> list[Dataset]:
+    """Make the data sets that ``names`` name, as :func:`open_dataset` does.
+
+    One that is several says as ``splits`` how each is called: ``NAME:DIR`` is all ``SPLIT:DIR``.
+    """
+    asked: list[str] = []
+    for name in names:
+        kind, _, folder = name.partition(":")
+        folder = folder or str(data_dir or "")
+        several = folder and kind in {entry.name for entry in registered("dataset")}
+        splits = getattr(resolve("dataset", kind), "splits", ()) if several else ()
+        asked += [f"{split}:{folder}" for split in splits] or [name]
+    return [open_dataset(name, data_dir) for name in asked]
 
 
 def open_dataset(name: str, data_dir: Path | None) -> Dataset:

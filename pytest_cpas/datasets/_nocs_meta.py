@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from pytest_cpas.types import CATEGORIES, DataError
+from pytest_cpas.types import DataError
 
 
 class Listed(NamedTuple):
@@ -21,8 +22,9 @@ class Listed(NamedTuple):
     poses: int
 
 
-def read_meta(frame: str, text: str, columns: str) -> list[Listed]:
-    """The objects in the text of a frame's meta file, whose lines have these ``columns``.
+def read_meta(frame: str, text: str, columns: str, classes: Sequence[str]) -> list[Listed]:
+    """The objects in the text of a frame's meta file, whose lines have these ``columns``, and whose
+    class ids count ``classes`` from 1.
 
     Distractors are left out. Raises :class:`DataError`.
     """
@@ -34,14 +36,14 @@ def read_meta(frame: str, text: str, columns: str) -> list[Listed]:
     entries = []
     for line in filter(str.strip, text.split("\n")):
         match = form.fullmatch(" ".join(line.split()))
-        if not match or int(match[2]) > len(CATEGORIES) or int(match[1]) > 254:
+        if not match or int(match[2]) > len(classes) or int(match[1]) > 254:
             raise DataError(
                 f"{frame}_meta.txt: line {line!r}, expected {columns!r} with a"
-                f" mask id of 0 to 254 and a class id of 0 to {len(CATEGORIES)}"
+                f" mask id of 0 to 254 and a class id of 0 to {len(classes)}"
             )
         if int(match[2]) > 0:
             model = "/".join(match.groups()[2:])
-            entries.append((int(match[1]), CATEGORIES[int(match[2]) - 1], model))
+            entries.append((int(match[1]), classes[int(match[2]) - 1], model))
     if len({mask_id for mask_id, _, _ in entries}) < len(entries):
         raise DataError(f"{frame}_meta.txt: a mask id occurs twice")
     count = len(entries)

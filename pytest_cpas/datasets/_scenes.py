@@ -1,4 +1,4 @@
-"""What stands where in the embedded data sets: objects, scenery and cameras.
+"""What stands where in the rendered data sets: objects, scenery and cameras.
 
 A scene composes frames: lists of items posed in the camera frame, all of them drawn from the
 generator that is passed in. World and object frames have y up.
@@ -7,6 +7,7 @@ generator that is passed in. World and object frames have y up.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +21,11 @@ DISTRACTOR, SCENERY = 0, -1
 
 _SKIN = np.array([[0.80, 0.60, 0.48], [0.76, 0.56, 0.45]])
 
-INSTANCES = 3  # of each category in a split
+INSTANCES = 3  # of each category in an embedded split
+
+#: Diagonal from which on an object is held farther away, metres: laptops have more, and nothing
+#: else of the embedded shapes.
+_LARGE = 0.33
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,43 +40,76 @@ class Item:
     model: str = ""
 
 
-def model_name(category: str, instance: int) -> str:
-    """The name of an instance of a category in the data set's files."""
-    return f"{category}_{instance}"
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An object that scenes show: its mesh, what files call it, and what its colours follow."""
+
+    mesh: Mesh
+    name: str
+    class_id: int
+    pattern: str
 
 
-def make_model(seed: int, split: int, category: str, instance: int) -> Mesh:
-    """The mesh of an instance; the splits share none."""
-    key = [seed, split, 0, CATEGORIES.index(category), instance]
-    return shapes.make(category, np.random.default_rng(key))
+class Stock(Protocol):
+    """Where scenes get their objects from; scenes are numbered from 1."""
+
+    def on_table(self, number: int) -> list[Model]:
+        """The objects of a tabletop scene."""
+
+    def in_hand(self, number: int) -> Model:
+        """The object of a handheld scene."""
+
+
+class Shapes:
+    """The embedded stock: instances of the six categories, of which the splits share none."""
+
+    def __init__(self, seed: int, split: int) -> None:
+        self._key = (seed, split)
+
+    def on_table(self, number: int) -> list[Model]:
+        """One of each category but one."""
+        absent = number % len(CATEGORIES)
+        return [
+            self._model(index, (number + index) % INSTANCES)
+            for index in range(len(CATEGORIES))
+            if index != absent
+        ]
+
+    def in_hand(self, number: int) -> Model:
+        """The categories in turn."""
+        number -= 1
+        return self._model(number % len(CATEGORIES), number // len(CATEGORIES) % INSTANCES)
+
+    def _model(self, index: int, instance: int) -> Model:
+        seed, split = self._key
+        category = CATEGORIES[index]
+        mesh = shapes.make(category, np.random.default_rng([seed, split, 0, index, instance]))
+        return Model(mesh, f"{category}_{instance}", index + 1, category)
 
 
 class TabletopScene:
-    """Upright objects of five categories on a table in a room, seen from above, as in REAL275."""
+    """Upright objects on a table in a room, seen from above, as in REAL275."""
 
-    wanted = 4  # objects that a frame shows well, of five
-
-    def __init__(self, seed: int, split: int, number: int, camera: Camera) -> None:
+    def __init__(self, stock: Stock, seed: int, split: int, number: int, camera: Camera) -> None:
         rng = np.random.default_rng([seed, split, 1, number])
         placed: list[tuple[Array, float]] = []
-        self._things: list[tuple[Mesh, Array, Array, str, int, str]] = []
-        absent = number % len(CATEGORIES)
-        chosen = [c for i, c in enumerate(CATEGORIES) if i != absent]
-        for category in rng.permutation([*chosen, "box"] if number % 3 == 0 else chosen).tolist():
-            if category == "box":
-                mesh, class_id, model = _box(rng.uniform(0.06, 0.14, 3)), DISTRACTOR, "box_0"
-            else:
-                instance = (number + CATEGORIES.index(category)) % INSTANCES
-                mesh = make_model(seed, split, category, instance)
-                class_id = CATEGORIES.index(category) + 1
-                model = model_name(category, instance)
-            half = mesh.bounds[1]
+        self._things: list[tuple[Model, Array, Array]] = []
+        models: list[Model | None] = [*stock.on_table(number)]
+        #: How many objects a frame shows well.
+        self.wanted = max(1, len(models) - 1)
+        if number % 3 == 0:
+            models.append(None)
+        for index in rng.permutation(len(models)).tolist():
+            model = models[index]
+            if model is None:
+                model = Model(_box(rng.uniform(0.06, 0.14, 3)), "box_0", DISTRACTOR, "box")
+            half = model.mesh.bounds[1]
             radius = float(np.sqrt(half[0] ** 2 + half[2] ** 2))
             position = _free_place(placed, radius, rng)
             placed.append((position, radius))
             position = np.array([position[0], half[1], position[1]])
             turn = _about_y(rng.uniform(0, 2 * np.pi))
-            self._things.append((mesh, turn, position, category, class_id, model))
+            self._things.append((model, turn, position))
         self._colours = rng.uniform(0.1, 0.95, (len(self._things) + 3, 2, 3))
         self._colours[-3:] = rng.uniform(0.35, 0.75, (3, 1, 1)) + rng.uniform(-0.1, 0.1, (3, 2, 3))
 
@@ -96,10 +134,8 @@ class TabletopScene:
             for (mesh, at), colours in zip(_ROOM, self._colours[-3:], strict=True)
         ]
         return scenery + [
-            item(mesh, turn, at, colours, pattern, class_id, model)
-            for (mesh, turn, at, pattern, class_id, model), colours in zip(
-                self._things, self._colours, strict=False
-            )
+            item(model.mesh, turn, at, colours, model.pattern, model.class_id, model.name)
+            for (model, turn, at), colours in zip(self._things, self._colours, strict=False)
         ]
 
 
@@ -108,7 +144,7 @@ class HandheldScene:
 
     wanted = 1  # object that a frame shows well
 
-    def __init__(self, seed: int, split: int, number: int, camera: Camera) -> None:
+    def __init__(self, stock: Stock, seed: int, split: int, number: int, camera: Camera) -> None:
         rng = np.random.default_rng([seed, split, 1, number])
         self._camera = camera
         # enough to feel where the fingers touch: a ray for every 4 x 4 pixels
@@ -120,29 +156,28 @@ class HandheldScene:
             (camera.cx - 1.5) / 4,
             (camera.cy - 1.5) / 4,
         )
-        self._category = CATEGORIES[(number - 1) % len(CATEGORIES)]
-        instance = (number - 1) // len(CATEGORIES) % INSTANCES
-        self._model = model_name(self._category, instance)
-        self._mesh = make_model(seed, split, self._category, instance)
+        self._model = stock.in_hand(number)
         self._colours = rng.uniform(0.1, 0.95, (2, 3))
         self._clothes = rng.uniform(0.1, 0.7, (1, 3)) * np.array([[1.0], [0.8]])
         self._wall = rng.uniform(0.4, 0.8, (1, 3)) * np.array([[1.0], [0.93]])
 
     def compose(self, rng: np.random.Generator) -> list[Item]:
         """The object in another pose and grip."""
-        # nearer than that a laptop fills the image
-        nearest = 0.6 if self._category == "laptop" else 0.4
+        model = self._model
+        low, high = model.mesh.bounds
+        # nearer than that what is as large as a laptop fills the image
+        nearest = 0.6 if np.sqrt(np.sum((high - low) ** 2)) > _LARGE else 0.4
         width, height = self._camera.width, self._camera.height
         column = int(width * rng.uniform(0.3, 0.7))
         row = int(height * rng.uniform(0.3, 0.6))
         centre = camera_rays(self._camera)[row, column] * rng.uniform(nearest, 1.0)
         held = Item(
-            self._mesh,
+            model.mesh,
             _rounded_pose(_random_rotation(rng), centre),
             self._colours,
-            self._category,
-            CATEGORIES.index(self._category) + 1,
-            self._model,
+            model.pattern,
+            model.class_id,
+            model.name,
         )
         behind = float(centre[2]) + rng.uniform(0.35, 0.6)
         person = centre[0] + rng.uniform(-0.2, 0.2)
@@ -167,6 +202,8 @@ class HandheldScene:
         """Forearm, palm and the fingers that close over the side that the camera sees."""
         seen = render([(held.mesh, held.pose)], self._coarse)
         points = self._coarse.back_project(seen.depth, seen.instance == 0)
+        if not len(points):
+            return []  # too thin to be felt
         centre = held.pose.translation
         near = -centre / np.sqrt(np.sum(centre**2))
         angle = np.deg2rad(rng.uniform(20, 160))  # the arm comes from the lower half
@@ -181,6 +218,8 @@ class HandheldScene:
             return at
 
         side = float(np.quantile(local[:, 1], rng.uniform(0.35, 0.65)))
+        if np.abs(local[:, 1] - side).min() >= 0.04:  # between two parts
+            side = float(local[np.argmin(np.abs(local[:, 1] - side)), 1])
         palm = local[np.abs(local[:, 1] - side) < 0.04]
         edge, depth = float(palm[:, 0].max()), float(np.median(palm[:, 2]))
         reach = min(0.06, rng.uniform(0.35, 0.65) * (edge - float(palm[:, 0].min())))

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import functools
 import re
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 from pytest_cpas.datasets._derived import BOX_OF_MESH, BY_CATEGORY, RENDERED
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._records import Record, RecordTree
+from pytest_cpas.datasets._symmetries import parse_symmetry
 from pytest_cpas.datasets._values import steps_per_metre
 from pytest_cpas.datasets.nocs import symmetry_of
 from pytest_cpas.reading.files import decoded
@@ -39,11 +39,6 @@ _TRANSLATION = ("tx", "ty", "tz")
 _EXTENTS = ("extent_x", "extent_y", "extent_z")
 _REQUIRED = ("id", "category", "rgb", "depth", *_CAMERA, *_QUATERNION, *_TRANSLATION)
 _OPTIONAL = ("scene", "model", "mask", "mask_id", "depth_unit", *_EXTENTS, "mesh", "symmetry")
-
-#: More turns than anybody would list are a slip of the pen.
-_MOST_FOLD = 360
-
-_SYMMETRY = re.compile(r"([xyz])(?:/(\d+))?")
 
 
 class Folder(RecordTree):
@@ -179,18 +174,3 @@ class Folder(RecordTree):
                 " off the origin; expected a mesh centred on its box, and poses of that centre"
             )
         return mesh
-
-
-@functools.cache
-def parse_symmetry(text: str) -> Symmetry:
-    """``none``, ``y`` (any angle about y), ``y/4`` (four-fold about y), ``box`` or ``sphere``;
-    x and z as y."""
-    named = {"none": Symmetry.none, "box": Symmetry.box, "sphere": Symmetry.full}
-    if text in named:
-        return named[text]()
-    match = _SYMMETRY.fullmatch(text)
-    fold = whole(match[2]) if match else None
-    if not match or (match[2] and not (fold and fold <= _MOST_FOLD)):
-        raise DataError(f"symmetry {text!r}, expected none, y, y/4 (or x, z), box or sphere")
-    axis = np.eye(3)["xyz".index(match[1])]
-    return Symmetry.about(axis) if fold is None else Symmetry.n_fold(axis, fold)

@@ -47,7 +47,6 @@ from pytest_cpas.reading.numbers import numbers
 from pytest_cpas.reading.paths import natural
 from pytest_cpas.reading.pickles import load_numpy_pickle
 from pytest_cpas.types import (
-    CATEGORIES,
     Array,
     Camera,
     ContractError,
@@ -180,7 +179,8 @@ class NocsTree(Tree):
                 return [(frame, self._read_classes(scan, frame))]
             text = decoded(Path(meta), scan.read(meta), "replace")
             self._scan_truth(scan, frame)
-            return [(frame, self._posed(scan, frame, read_meta(frame, text, self.meta)))]
+            listed = read_meta(frame, text, self.meta, self.class_names)
+            return [(frame, self._posed(scan, frame, listed))]
         except ContractError as error:
             scan.damaged.append(str(error))
             return []
@@ -194,13 +194,13 @@ class NocsTree(Tree):
             not isinstance(ids, np.ndarray)
             or ids.ndim != 1
             or ids.dtype.kind not in "iu"
-            or (ids.size and not (ids.min() >= 1 and ids.max() <= len(CATEGORIES)))
+            or (ids.size and not (ids.min() >= 1 and ids.max() <= len(self.class_names)))
         ):
             raise DataError(
-                f"{path}: gt_class_ids are not class ids (n,) of 1 to {len(CATEGORIES)}, and there"
-                f" is no {self.frames}/{frame}_meta.txt that says which objects are there"
+                f"{path}: gt_class_ids are not class ids (n,) of 1 to {len(self.class_names)}, and"
+                f" there is no {self.frames}/{frame}_meta.txt that says which objects are there"
             )
-        categories = [CATEGORIES[i - 1] for i in ids.tolist()]
+        categories = [self.class_names[i - 1] for i in ids.tolist()]
         return [Listed(-1, name, "", i, len(ids)) for i, name in enumerate(categories)]
 
     def _scan_truth(self, scan: Scan, frame: str) -> None:
@@ -272,8 +272,7 @@ class NocsTree(Tree):
     @raised_as(DataError)
     def load(self, ref: SampleRef) -> Sample:
         """Read one sample; :class:`DataError` names the file that is damaged."""
-        truth = self.truth(ref)
-        frame = ref.id.rsplit("/", 1)[0]
+        truth, frame = self.truth(ref), self.image_of(ref)
         mask = self._ids(frame) == Listed(*self._details[ref.id]).mask_id
         self._check_place(ref, truth, mask)
         rgb = self._read_rgb(self.root / f"{self.frames}/{frame}_color.png", self.camera)
@@ -321,12 +320,15 @@ class NocsTree(Tree):
         try:
             pose = Pose(rotation @ NOCS_FROM_SHAPENET, scaled[:3, 3])
             return GroundTruth(
-                pose=pose, extents=extents, symmetry=symmetry_of(ref.category), surface=mesh
+                pose=pose, extents=extents, symmetry=self._symmetry(ref), surface=mesh
             )
         except ContractError as error:
             raise DataError(
                 f"{path}, pose {item.pose_index}, and model {item.model}: {error}"
             ) from None
+
+    def _symmetry(self, ref: SampleRef) -> Symmetry:
+        return symmetry_of(ref.category)
 
     def _ids(self, frame: str) -> NDArray[np.uint8]:
         return self._read_ids(self.root / f"{self.frames}/{frame}_mask.png", self.camera)

@@ -43,9 +43,10 @@ import hashlib
 import pickle
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,10 +55,10 @@ from scipy import ndimage
 
 from pytest_cpas._files import cache_folder
 from pytest_cpas.datasets import _mug, _rings, _scenes, rendering, shapes
-from pytest_cpas.datasets._scenes import SCENERY, HandheldScene, Item, TabletopScene
+from pytest_cpas.datasets._scenes import SCENERY, HandheldScene, Item, Shapes, Stock, TabletopScene
 from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree
 from pytest_cpas.datasets.rendering import Rendering, camera_rays, render
-from pytest_cpas.types import Array, Camera
+from pytest_cpas.types import Array, Camera, DataError
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
 __all__ = [
@@ -66,8 +67,10 @@ __all__ = [
     "Split",
     "SyntheticHandheld",
     "SyntheticTabletop",
+    "cached",
     "generate",
     "measure",
+    "recipe",
 ]
 
 HANDHELD_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -81,10 +84,13 @@ MAKERS = (shapes, _rings, _mug, rendering, _scenes)
 #: out: nobody could tell its pose.
 _MIN_PIXELS, _MIN_SHARE = 500, 0.15
 
+#: So many views are tried.
+_ATTEMPTS = 200
+
 
 @dataclass(frozen=True)
 class Split:
-    """What one embedded data set is made of."""
+    """What a rendered data set is made of."""
 
     name: str
     key: int  # tells its random numbers from those of the other split
@@ -92,6 +98,7 @@ class Split:
     scenes: int
     frames: int
     kind: type[TabletopScene] | type[HandheldScene]
+    stock: Stock | None = None  # the embedded shapes if None
 
 
 TABLETOP = Split("synthetic-tabletop", 0, REAL_CAMERA, 6, 5, TabletopScene)
@@ -105,7 +112,8 @@ class _Synthetic(NocsTree):
 
     def __init__(self, data_dir: Path | None) -> None:
         """``data_dir`` is not used: the data set makes itself."""
-        root = _cached(self.split)
+        split = self.split
+        root = cached(split.name, recipe(), lambda folder: generate(split, folder))
         super().__init__(self.split.name, root, self.split.camera)
         self.digest = (root / "digest.txt").read_text().strip()
 
@@ -114,30 +122,36 @@ class SyntheticTabletop(_Synthetic):
     """Upright objects on a table; see the module's docstring."""
 
     split = TABLETOP
+    #: What ``synthetic-tabletop:DIR`` is, for :func:`pytest_cpas.registry.resolve`.
+    in_folder = "pytest_cpas.datasets.own_meshes:OwnTabletop"
 
 
 class SyntheticHandheld(_Synthetic):
     """One freely turned object in a hand; see the module's docstring."""
 
     split = HANDHELD
+    in_folder = "pytest_cpas.datasets.own_meshes:OwnHandheld"
 
 
-def _cached(split: Split) -> Path:
-    """The folder of a split below ``CPAS_CACHE`` or the user's cache, made if it is not there."""
+def cached(name: str, key: str, make: Callable[[Path], None]) -> Path:
+    """The folder of a data set below ``CPAS_CACHE`` or the user's cache, made if it is not there.
+
+    ``make`` fills a folder; what another ``key`` has made is not used.
+    """
     folder = cache_folder()
-    root = folder / f"{split.name}-{_recipe()}"
+    root = folder / f"{name}-{key}"
     if root.is_dir():
         return root
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        unfinished = Path(tempfile.mkdtemp(prefix=f".{split.name}-", dir=folder))
+        unfinished = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=folder))
     except OSError as error:
         raise RuntimeError(
-            f"{split.name} is made on first use, but nothing can be written to {folder} ({error})."
+            f"{name} is made on first use, but nothing can be written to {folder} ({error})."
             " Set CPAS_CACHE to a folder that is writable"
         ) from error
     try:
-        generate(split, unfinished)
+        make(unfinished)
         try:
             unfinished.rename(root)
         except OSError:
@@ -148,10 +162,10 @@ def _cached(split: Split) -> Path:
     return root
 
 
-def _recipe() -> str:
+def recipe(*further: ModuleType) -> str:
     """A digest of the code that decides the content: a changed recipe gets another folder."""
     digest = hashlib.sha256()
-    for file in (*(module.__file__ for module in MAKERS), __file__):
+    for file in (*(module.__file__ for module in (*MAKERS, *further)), __file__):
         digest.update(Path(str(file)).read_bytes())
     return digest.hexdigest()[:12]
 
@@ -159,14 +173,19 @@ def _recipe() -> str:
 def generate(split: Split, root: Path, scenes: Sequence[int] | None = None) -> None:
     """Write ``split``, or only some of its ``scenes`` (numbered from 1), to the folder ``root``.
 
-    A scene does not depend on the others. Raises :class:`ImportError` where Open3D is missing.
+    A scene does not depend on the others. Raises :class:`ImportError` where Open3D is missing, and
+    :class:`DataError` naming objects that cannot be seen well.
     """
     writer = _Writer(root)
+    stock = Shapes(SEED, split.key) if split.stock is None else split.stock
     for number in range(1, split.scenes + 1) if scenes is None else scenes:
-        scene = split.kind(SEED, split.key, number, split.camera)
+        scene = split.kind(stock, SEED, split.key, number, split.camera)
         for frame in range(split.frames):
             rng = np.random.default_rng([SEED, split.key, 2, number, frame])
-            writer.add(number, frame, _capture(scene, split.camera, rng))
+            try:
+                writer.add(number, frame, _capture(scene, split.camera, rng))
+            except DataError as error:
+                raise DataError(f"{split.name}, scene {number}: {error}") from None
     writer.finish()
 
 
@@ -185,7 +204,7 @@ def _capture(
     scene: TabletopScene | HandheldScene, camera: Camera, rng: np.random.Generator
 ) -> _Frame:
     """Compose until enough objects are seen well, then take the images."""
-    for _ in range(200):
+    for _ in range(_ATTEMPTS):
         items = scene.compose(rng)
         seen = render([(item.mesh, item.pose) for item in items], camera)
         depth = measure(seen, camera, rng)
@@ -200,7 +219,12 @@ def _capture(
         if sum(items[index].class_id > 0 for index in listed) >= scene.wanted:
             break
     else:
-        raise AssertionError(f"{scene.wanted} objects are never seen at once")
+        names = ", ".join(item.model for item in items if item.class_id > 0)
+        raise DataError(
+            f"of {names}, {scene.wanted} are never seen well at once, in {_ATTEMPTS} views: with"
+            f" {_MIN_PIXELS} pixels that have a depth, and {_MIN_SHARE:.0%} of the box that they"
+            " span. What is small, or thin as wire, is not; take it out"
+        )
     first = next(i for i, item in enumerate(items) if item.class_id != SCENERY)
     rays = camera_rays(camera).reshape(-1, 3)
     mask = np.full(depth.size, 255, dtype=np.uint8)

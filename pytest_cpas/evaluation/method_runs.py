@@ -177,6 +177,11 @@ class MethodRun(Run):
             protocols=protocols,
         )
 
+    @property
+    def notes(self) -> Sequence[str]:
+        """What the data set says of itself."""
+        return self._dataset.notes
+
     def began(self, when: int, plugins: Iterable[Path]) -> None:
         """Take in when pytest was started, nanoseconds since 1970, and which files its plugins are
         of, for :meth:`changed_meanwhile`."""

@@ -177,7 +177,7 @@ class StoredRun(Run):
 
     @functools.cached_property
     def _notes(self) -> Sequence[str]:
-        notes = [*self._submission.notes, *self._pairing.notes]
+        notes = [*self._dataset.notes, *self._submission.notes, *self._pairing.notes]
         notes += self._other_data()
         if self._half:
             notes.append(

@@ -39,12 +39,8 @@ class DatasetSession(SuiteSession):
                 options.check_written()
             import_open3d()
             self.checked = [
-                CheckedDataset.of(
-                    registry.open_dataset(name, options.data),
-                    options.selection,
-                    options.known_faults,
-                )
-                for name in options.datasets
+                CheckedDataset.of(dataset, options.selection, options.known_faults)
+                for dataset in registry.open_datasets(options.datasets, options.data)
             ]
             for checked in self.checked:
                 if not checked.refs and not checked.survey.damaged:

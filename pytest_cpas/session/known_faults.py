@@ -22,7 +22,9 @@ def known_faults(dataset: Dataset, files: Sequence[Path]) -> list[KnownFailure]:
     Raises :class:`pytest_cpas.types.DeclarationError` for a damaged file.
     """
     folder = Path(inspect.getfile(type(dataset))).parent
-    known = known_failures(folder, dataset.name, "dataset", CHECKS)
+    # of many data sets that one class makes, the same can be known
+    name = getattr(dataset, "known_as", dataset.name)
+    known = known_failures(folder, name, "dataset", CHECKS)
     for path in files:
         known += read_known(path, "dataset", CHECKS)
     return known

@@ -53,8 +53,8 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     _check_both_sides(options)
     methods = [(name, make_method(name, options.weights)) for name in options.methods]
     datasets = [
-        without_faults(registry.open_dataset(name, options.data), options.known_faults)
-        for name in options.datasets
+        without_faults(dataset, options.known_faults)
+        for dataset in registry.open_datasets(options.datasets, options.data)
     ]
     runs: list[Run] = []
     seen = _seen(datasets, options)

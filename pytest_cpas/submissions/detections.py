@@ -91,8 +91,9 @@ class DetectedDataset(WrappedDataset):
 
     @functools.cached_property
     def notes(self) -> Sequence[str]:
-        """What is noticed about the detections; nothing about sound ones."""
-        notes = []
+        """What is noticed about the detections beside what the data set says; nothing about sound
+        ones."""
+        notes = [*self._dataset.notes]
         numbers = evenly(sorted(self._pairing.images), _IMAGES)
         where = "" if len(numbers) == len(self._pairing.images) else f" of {len(numbers)} images"
         read = (self._read(self._files[number], self.class_names) for number in numbers)

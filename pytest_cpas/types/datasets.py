@@ -54,6 +54,7 @@ class Dataset(ABC):
     * ``derived``, a sequence of :class:`Derived`: what is not published, but made of the rest by
       whoever reads the data set, such as masks that are rendered. It is named once, and no check
       holds it against what it is made of. ``()`` for nothing.
+    * ``notes``, a sequence of str: what people should know of it beside that, one line each.
     * ``quick_truth``, bool: :meth:`truth` opens no image. True where a subclass has a ``truth`` of
       its own, unless it says otherwise.
     """
@@ -69,6 +70,11 @@ class Dataset(ABC):
     derived: Sequence[Derived] = ()
     published_axes: Array | None = None
     published_centres: Mapping[str, Array] = MappingProxyType({})
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What people should know of the data set, one line each; here nothing."""
+        return ()
 
     @functools.cached_property
     def quick_truth(self) -> bool:
@@ -140,6 +146,11 @@ class WrappedDataset(Dataset):
     def wrapped(self) -> Dataset:
         """The data set that this one is made of."""
         return self._dataset
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What people should know of the data set."""
+        return self._dataset.notes
 
     def load(self, ref: SampleRef) -> Sample:
         """Read one sample."""
@@ -269,6 +280,7 @@ class _Adapted(WrappedDataset):
         self._has_truth = hasattr(made, "truth")
         self.quick_truth = bool(getattr(made, "quick_truth", self._has_truth))
 
+    notes = Dataset.notes
     image_of = Dataset.image_of
     fit_error = Dataset.fit_error
     unseen = Dataset.unseen

@@ -142,9 +142,9 @@ def test_what_wrappers_change():
         if kind.__module__.startswith("pytest_cpas.")
     }
     assert own == {
-        "DetectedDataset": {"load", "unseen"},
+        "DetectedDataset": {"load", "unseen", "notes"},
         "Perturbed": {"load"},
-        "_Adapted": {"truth", "image_of", "fit_error", "unseen", "box_of"},
+        "_Adapted": {"truth", "image_of", "fit_error", "unseen", "box_of", "notes"},
         "_WithoutFaults": {"load", "truth"},
     }
     whole = Held(None)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.datasets._edges import open_edges
 from pytest_cpas.datasets.rendering import camera_rays, hidden, render
 from pytest_cpas.types import (
     Array,
@@ -143,6 +144,7 @@ class Survey:
     refs: Sequence[SampleRef]
     missing: Sequence[str] = ()
     damaged: Sequence[str] = ()
+    notes: Sequence[str] = ()
     samples: dict[str, SampleFacts] = field(default_factory=dict)
     meshes: dict[str, MeshFacts] = field(default_factory=dict)
     unreadable: dict[str, str] = field(default_factory=dict)
@@ -157,6 +159,7 @@ class Survey:
             dataset.samples,
             dataset.missing,
             dataset.damaged,
+            dataset.notes,
             elsewhere=elsewhere,
             derived=dataset.derived,
         )
@@ -272,10 +275,6 @@ def _measure_image(seen: Observation, pose: Pose, mesh: Mesh | None, corners: Ar
 
 def measure_mesh(mesh: Mesh, ref: SampleRef) -> MeshFacts:
     """Measure one mesh, of which ``ref`` is a sample."""
-    _, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    triangles = same[mesh.triangles]
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, uses = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)
     low, high = mesh.bounds
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles] - (low + high) / 2, 1, 0)
     return MeshFacts(
@@ -283,7 +282,7 @@ def measure_mesh(mesh: Mesh, ref: SampleRef) -> MeshFacts:
         sample=ref.id,
         category=ref.category,
         model=ref.model,
-        open_edges=int(np.count_nonzero(uses % 2)),
+        open_edges=open_edges(mesh),
         inside={side: _inside_seen(mesh, *direction) for side, direction in _SIDES.items()},
         volume=float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6),
         centre=_triple((low + high) / 2),

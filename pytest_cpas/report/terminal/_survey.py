@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -10,6 +11,7 @@ import numpy as np
 from pytest_cpas.checks.dataset.facts import SampleFacts, Survey
 from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
 from pytest_cpas.checks.dataset.verdicts import DatasetWord
+from pytest_cpas.reading.text import WIDTH
 from pytest_cpas.report.terminal._table import FEW, Terminal
 from pytest_cpas.types import Verdict
 from pytest_cpas.types.samples import ALL
@@ -24,6 +26,9 @@ def print_survey(
         terminal.write_line(f"missing: {line}")
     if survey.derived_note:
         terminal.write_line(f"note: {survey.derived_note}")
+    for line in survey.notes:
+        for part in textwrap.wrap(f"note: {line}", WIDTH, subsequent_indent="  "):
+            terminal.write_line(part)
     for verdict in verdicts:
         first, *rest = verdict.details.splitlines() or [""]
         more = f" (and {len(rest)} more lines above)" if rest else ""
