@@ -452,7 +452,7 @@ def test_check_and_run_from_the_command_line(pytester: pytest.Pytester, tmp_path
             "note: can: y, as the field takes the category: can_a 0.1 %",
             "counts * n/a",
             "mesh-closed * passed",
-            "*12 checks: 10 passed, 2 n/a",
+            "* checks: 9 passed, 4 n/a",
             "*data set synthetic-handheld-kit*",
         ]
     )
