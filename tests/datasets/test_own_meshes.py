@@ -15,11 +15,13 @@ from test_symmetries import BALL, STRAIGHT, TAPERED, box, lathe, lying
 from trees import save_obj
 
 from pytest_cpas import registry
-from pytest_cpas.datasets import own_meshes, synthetic
+from pytest_cpas.datasets import _scenes, own_meshes, synthetic
+from pytest_cpas.datasets._mesh_stock import MeshStock
+from pytest_cpas.datasets._scenes import Model
 from pytest_cpas.datasets.own_meshes import OwnHandheld, OwnTabletop
 from pytest_cpas.datasets.rendering import camera_rays
 from pytest_cpas.reading.meshes import read_mesh
-from pytest_cpas.types import Array, ContractError, DataError, Mesh, Sample
+from pytest_cpas.types import Array, ContractError, DataError, Mesh, Pose, Sample
 
 TABLE = 'unit = "m"\nup = "y"\n'
 
@@ -44,6 +46,15 @@ def quick(monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
     for kind in (OwnTabletop, OwnHandheld):
         split = dataclasses.replace(kind.split, scenes=1, frames=1)
         monkeypatch.setattr(kind, "split", split)
+
+
+def join(first: Mesh, second: Mesh, *, apart: float) -> Mesh:
+    """Two meshes in one, their centres so far apart along x."""
+    shift = np.array([apart / 2, 0, 0])
+    return Mesh(
+        np.concatenate([first.vertices - shift, second.vertices + shift]),
+        np.concatenate([first.triangles, second.triangles + len(first.vertices)]),
+    )
 
 
 def only(data: OwnTabletop | OwnHandheld) -> Sample:
@@ -191,7 +202,7 @@ def test_every_mesh_is_shown_often_enough(tmp_path: Path) -> None:
 
     split = dataclasses.replace(OwnTabletop.split, scenes=6)
     for count in (1, 5, 7, 18, 40):
-        stock = own_meshes.MeshStock(list(range(count)))
+        stock = MeshStock(list(range(count)))
         for kind, shown in ((OwnTabletop, stock.on_table), (OwnHandheld, lambda n: [1])):
             kind.split = dataclasses.replace(kind.split, scenes=split.scenes)
             scenes = kind._scenes(Folder(count))
@@ -204,6 +215,33 @@ def test_every_mesh_is_shown_often_enough(tmp_path: Path) -> None:
                 held = Counter(stock.in_hand(n + 1) for n in range(scenes))
                 assert len(held) == count
                 assert len(set(held.values())) == 1
+
+
+class Middle:
+    """Draws the middle of every range."""
+
+    def uniform(self, low: float, high: float) -> float:
+        return (low + high) / 2
+
+    def choice(self, values: list[int]) -> int:
+        return values[0]
+
+
+@pytest.mark.parametrize(
+    ("made", "rods"),
+    [
+        (box(0.1, 0.1, 0.1), 4),
+        # between its two parts, which are seen by as many rays, a hand finds nothing to hold
+        (join(box(0.04, 0.1, 0.1), box(0.04, 0.1, 0.1), apart=0.2), 4),
+        (box(0.0002, 0.2, 0.0002), 0),  # between two rays
+    ],
+    ids=["one part", "two parts", "wire"],
+)
+def test_a_hand_holds_what_it_finds(made: Mesh, rods: int) -> None:
+    model = Model(made, "thing", 1, "band")
+    scene = _scenes.HandheldScene(MeshStock([model]), 1, 1, 1, OwnHandheld.split.camera)
+    held = _scenes.Item(made, Pose(np.eye(3), [0, 0, 0.6]), np.ones((2, 3)), "band", 1, "thing")
+    assert len(scene._hand(held, Middle())) == rods
 
 
 # -- the cache and the digest -------------------------------------------------------------------
