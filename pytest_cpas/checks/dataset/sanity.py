@@ -182,11 +182,8 @@ def check_fits(survey: Survey) -> list[Problem] | None:
 
 
 def _fit_limit(survey: Survey, sample: str) -> float:
-    measured = any(
-        each.part == "pose" and "depth" in each.made_of and each.covers(sample)
-        for each in survey.derived
-    )
-    return MAX_RESIDUAL if measured else MAX_FIT
+    fitted = [each for each in survey.derived if each.part == "pose" and each.covers(sample)]
+    return MAX_RESIDUAL if any("depth" in each.made_of for each in fitted) else MAX_FIT
 
 
 def check_meshes_metric(survey: Survey) -> list[Problem] | None:
