@@ -54,6 +54,12 @@ def add_options(parser: pytest.Parser) -> None:
         " those of the ground truth; what it did not find counts as not correct",
     )
     group.addoption(
+        "--cpas-categories",
+        metavar="FILE",
+        help="take the known objects of the data sets as instances of categories, by a map in FILE"
+        " or one that ships (ycbv, hope), so that categorical methods run on them",
+    )
+    group.addoption(
         "--cpas-weights",
         metavar="DIR",
         default=os.environ.get("CPAS_WEIGHTS"),

@@ -16,6 +16,7 @@ from pytest_cpas.report.sphere_picture import draw_up_axes
 from pytest_cpas.report.terminal import Terminal, print_survey
 from pytest_cpas.session.checked_dataset import CheckedDataset, plain_survey
 from pytest_cpas.session.options import DatasetOptions
+from pytest_cpas.session.resolution import categorised
 from pytest_cpas.session.suite_session import SuiteSession, report_outcome, usage_errors
 from pytest_cpas.types import ContractError, Verdict
 
@@ -39,7 +40,11 @@ class DatasetSession(SuiteSession):
                 options.check_written()
             import_open3d()
             self.checked = [
-                CheckedDataset.of(dataset, options.selection, options.known_faults)
+                CheckedDataset.of(
+                    categorised(dataset, options.categories),
+                    options.selection,
+                    options.known_faults,
+                )
                 for dataset in registry.open_datasets(options.datasets, options.data)
             ]
             for checked in self.checked:

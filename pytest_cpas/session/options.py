@@ -42,6 +42,7 @@ class RunOptions:
     merge: Sequence[Path] = ()
     allow_gaps: bool = False
     data: Path | None = None
+    categories: Path | None = None
     detections: Path | None = None
     weights: Path | None = None
     device: str = "cpu"
@@ -90,6 +91,7 @@ class RunOptions:
             merge=_paths(here, options.cpas_merge),
             allow_gaps=options.cpas_allow_gaps,
             data=_path(here, options.cpas_data),
+            categories=_path(here, options.cpas_categories),
             detections=_path(here, options.cpas_detections),
             weights=_path(here, options.cpas_weights),
             device=options.cpas_device,
@@ -154,6 +156,7 @@ class DatasetOptions:
 
     datasets: Sequence[str]
     data: Path | None = None
+    categories: Path | None = None
     selection: Selection = field(default_factory=Selection)
     granularity: Granularity = "sample"
     known_faults: Sequence[Path] = ()
@@ -165,6 +168,7 @@ class DatasetOptions:
         return cls(
             datasets=tuple(dict.fromkeys(options.cpas_check_dataset)),
             data=_path(here, options.cpas_data),
+            categories=_path(here, options.cpas_categories),
             selection=_selection(options),
             granularity=options.cpas_granularity,
             known_faults=_paths(here, options.cpas_known_faults),

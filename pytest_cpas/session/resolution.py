@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas import registry
+from pytest_cpas.datasets.categories import CategorisedDataset, categories_file
 from pytest_cpas.datasets.perturbed import perturbed
 from pytest_cpas.documents import RunConditions, RunDocument
 from pytest_cpas.evaluation import (
@@ -39,7 +40,7 @@ from pytest_cpas.types import (
     words_of,
 )
 
-__all__ = ["make_method", "open_results", "read_others", "resolve_runs"]
+__all__ = ["categorised", "make_method", "open_results", "read_others", "resolve_runs"]
 
 
 def resolve_runs(options: RunOptions) -> list[Run]:
@@ -53,7 +54,7 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     _check_both_sides(options)
     methods = [(name, make_method(name, options.weights)) for name in options.methods]
     datasets = [
-        without_faults(dataset, options.known_faults)
+        categorised(without_faults(dataset, options.known_faults), options.categories)
         for dataset in registry.open_datasets(options.datasets, options.data)
     ]
     runs: list[Run] = []
@@ -90,6 +91,16 @@ def _seen(datasets: Sequence[Dataset], options: RunOptions) -> Sequence[Dataset]
             " --cpas-dataset NAME"
         )
     return [DetectedDataset(datasets[0], options.detections)]
+
+
+def categorised(dataset: Dataset, categories: Path | None) -> Dataset:
+    """A data set with its objects as instances of categories, if there is a map of them.
+
+    Raises :class:`pytest_cpas.types.DataError` for a map that is none of the data set.
+    """
+    if categories is None:
+        return dataset
+    return CategorisedDataset(dataset, categories_file(categories))
 
 
 def make_method(name: str, weights: Path | None) -> Callable[[], Method]:

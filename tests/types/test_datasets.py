@@ -9,7 +9,8 @@ import tiny
 from docs_pages import blocks, section_of, text
 from tiny import Tiny
 
-import pytest_cpas.session.known_faults  # noqa: F401 - which has a wrapper
+import pytest_cpas.datasets.categories  # which has a wrapper, and so has this:
+import pytest_cpas.session.known_faults  # noqa: F401
 from pytest_cpas import registry
 from pytest_cpas.checks.dataset.facts import survey
 from pytest_cpas.datasets._tree import Tree
@@ -142,6 +143,7 @@ def test_what_wrappers_change():
         if kind.__module__.startswith("pytest_cpas.")
     }
     assert own == {
+        "CategorisedDataset": {"truth", "load", "image_of", "fit_error", "unseen", "box_of"},
         "DetectedDataset": {"load", "unseen", "notes"},
         "Perturbed": {"load"},
         "_Adapted": {"truth", "image_of", "fit_error", "unseen", "box_of", "notes"},
