@@ -101,6 +101,7 @@ class Bop(RecordTree):
         scan.damaged += self._damaged_models
         self._meshes = self._find_meshes(scan)
         self._without_mesh: Counter[str] = Counter()
+        self._without_info: list[str] = []
         targets = self._targets(scan)
         for scene in sorted(scan.names(self.split), key=natural):
             if whole(scene) is None:
@@ -111,6 +112,12 @@ class Bop(RecordTree):
                 scan.damaged.append(str(error))
         for path in self._meshes.values():
             scan.hash(path)
+        if scenes := self._without_info:
+            scan.missing.append(
+                f"scene_gt_info.json of {len(scenes)} scenes, first {scenes[0]}: which objects are"
+                " hidden is not said, and all are listed (bop_toolkit's scripts/calc_gt_info.py"
+                " writes it)"
+            )
         if lacking := self._without_mesh:
             scan.missing.append(
                 f"models of {len(lacking)} objects, first {self._models_folder}/{min(lacking)}.ply:"
@@ -162,6 +169,8 @@ class Bop(RecordTree):
         cameras = scan.read_json(f"{folder}/scene_camera.json")
         info = f"{folder}/scene_gt_info.json"
         infos = scan.read_json(info) if scan.has(info) else {}
+        if not scan.has(info):
+            self._without_info.append(scene)
         size: tuple[int, int] | None = None
         self._name_unlisted(scan, folder, truths)
         file = f"{self.root / folder}/scene_camera.json"

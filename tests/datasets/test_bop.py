@@ -202,6 +202,14 @@ def test_whole_masks_are_taken_less_what_is_in_front(tmp_path: Path) -> None:
     assert Bop(tmp_path).digest != digest
 
 
+def test_visibility_that_is_not_said_is_named(tmp_path: Path) -> None:
+    write_bop(tmp_path)
+    (tmp_path / "test/000010/scene_gt_info.json").unlink()
+    data = Bop(tmp_path)
+    assert len(data.samples) == 10  # with the two that are hidden
+    assert data.missing[-1].startswith("scene_gt_info.json of 1 scenes, first 000010: which")
+
+
 MILLIMETRES, METRES = 1.0, 0.001
 
 
