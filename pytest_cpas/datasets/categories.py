@@ -33,8 +33,8 @@ from typing import Any
 
 import numpy as np
 
+from pytest_cpas.datasets._symmetries import parse_symmetry
 from pytest_cpas.datasets.bop import object_name
-from pytest_cpas.datasets.folder import parse_symmetry
 from pytest_cpas.reading.numbers import whole
 from pytest_cpas.reading.structured import read_toml
 from pytest_cpas.types import (

@@ -96,6 +96,8 @@ WRITERS: dict[str, list[Callable[[Path], object]]] = {
 
 def test_every_registered_data_set_is_tried():
     readers = {entry.name: entry.load() for entry in registered("dataset")}
+    # what is several data sets is those
+    readers = {name: reader for name, reader in readers.items() if not hasattr(reader, "splits")}
     inherited = {n for n, r in readers.items() if r.scan is nocs.NocsTree.scan} - set(WRITERS)
     assert set(readers) - inherited == set(WRITERS)
     for name in inherited:
