@@ -72,6 +72,16 @@ def test_a_dent_is_no_symmetry() -> None:
     assert find_symmetry(Mesh(vertices, mesh.triangles)).text == "none"
 
 
+def test_a_thin_spike_is_no_symmetry() -> None:
+    """Of a surface that is sampled, none of the points need be on it."""
+    body, spike = box(0.1, 0.2, 0.3), box(0.0002, 0.0002, 0.04)
+    mesh = Mesh(
+        np.concatenate([body.vertices, spike.vertices + np.array([0.04, 0.02, 0.17])]),
+        np.concatenate([body.triangles, spike.triangles + len(body.vertices)]),
+    )
+    assert find_symmetry(mesh).text == "none"
+
+
 @pytest.mark.parametrize(
     ("text", "elements", "axis"),
     [
