@@ -165,13 +165,12 @@ class MeshFolder:
         listed = [file.path for file in self.files]
         for path in [TABLE, *listed] if TABLE in names(self.root) else listed:
             content = read_bytes(self.root / path, _LARGEST)
-            digest.update(f"{path}\0{len(content)}\0".encode() + content)
+            digest.update(os.fsencode(f"{path}\0{len(content)}\0") + content)
         return digest.hexdigest()[:12]
 
     def _listed(self, faults: Faults) -> list[tuple[str, str]]:
         """Paths and categories of the meshes, in order."""
         found = []
-        real = self.root.resolve()
         for category in sorted(names(self.root), key=natural):
             place = self.root / category
             if category.startswith("."):
@@ -183,23 +182,21 @@ class MeshFolder:
                         f" called as its category: {self.root.name}/mug/{category}"
                     )  # fmt: skip
                 continue
+            if self._leads_out(place, faults, category):
+                continue
             meshes = []
             for name in sorted(names(place), key=natural):
                 path = f"{category}/{name}"
                 if name.startswith("."):
                     continue
-                if not (place / name).resolve().is_relative_to(real):
-                    target = (place / name).resolve()
-                    faults.add(
-                        "link", path, f"it leads to {target}, out of {self.root}; copy it there"
-                    )
-                elif _kind(name) in _OTHERS:
+                if _kind(name) in _OTHERS:
                     faults.add(
                         "format", path, f"{_kind(name)} is not read; export it as"
                         f" {', '.join(_FORMATS)}"
                     )  # fmt: skip
                 elif _kind(name) in _FORMATS:
-                    meshes.append((path, category))
+                    if not self._leads_out(place / name, faults, path):
+                        meshes.append((path, category))
                 elif (inner := _mesh_below(place / name)) is not None:
                     faults.add(
                         "place", f"{path}/{inner}", f"meshes lie directly in the folder of their"
@@ -213,11 +210,21 @@ class MeshFolder:
                     faults.add("category", category, str(error).partition(": ")[2])
         return found
 
+    def _leads_out(self, place: Path, faults: Faults, path: str) -> bool:
+        """Whether a link leads out of the folder, which is then told."""
+        target = Path(os.path.realpath(place))  # of a link to itself, itself
+        if target.is_relative_to(os.path.realpath(self.root)):
+            return False
+        faults.add("link", path, f"it leads to {target}, out of {self.root}; copy it there")
+        return True
+
     def _table(self, paths: Sequence[str]) -> Mapping[str, Any]:
         """The table, of which every part is about something that is there."""
         if TABLE not in names(self.root):
             return {}
-        path = self.root / TABLE
+        path, faults = self.root / TABLE, Faults(self.root)
+        self._leads_out(path, faults, TABLE)
+        faults.tell()
         table = read_toml(path)
         known = ("name", *_KEYS, "category", "mesh")
         categories = sorted({each.split("/")[0] for each in paths})
@@ -317,8 +324,9 @@ def _check_said(file: File, faults: Faults) -> None:
         faults.add(key, file.path, f"{seen}; expected {expected} in {TABLE}")
 
     unit = said.get("unit", 1.0)
-    number = isinstance(unit, int | float) and not isinstance(unit, bool)
-    if unit not in UNITS and not (number and 1e-9 <= unit <= 1e3):
+    metres = UNITS.get(unit, 0.0) if isinstance(unit, str) else unit
+    number = isinstance(metres, int | float) and not isinstance(metres, bool)
+    if not number or not 1e-9 <= metres <= 1e3:
         wrong("unit", f"one of {', '.join(UNITS)}, or metres as a number,")
     axes = [sign + axis for sign in ("", "-") for axis in "xyz"]
     up = said.get("up")

@@ -101,9 +101,9 @@ def read_models(folder: MeshFolder) -> tuple[list[Model], dict[str, SymmetryOf]]
 
 
 def _check_mesh(file: File, mesh: Mesh, faults: Faults) -> None:
-    """Tell what is wrong with a mesh, in the units of its file."""
+    """Tell what is wrong with a mesh, in the units and axes of its file."""
     low, high = mesh.bounds
-    sides, centre = high - low, (low + high) / 2
+    sides, centre = np.abs(file.axes.T) @ (high - low), (low + high) / 2
     diagonal, distance = float(np.linalg.norm(sides)), float(np.linalg.norm(centre))
     seen = f"its box is {' x '.join(f'{side:.3g}' for side in sides)}"
     if "unit" not in file.said:

@@ -153,10 +153,15 @@ class OwnMeshes:
     splits = (TABLETOP.name, HANDHELD.name)
 
     def __init__(self, data_dir: Path | None) -> None:
-        """Raises :class:`DataError` that says how each of the two is named."""
-        folder = "DIR" if data_dir is None else data_dir
+        """Raises :class:`FileNotFoundError` without a folder, and :class:`DataError` that says how
+        each of the two is named."""
+        if data_dir is None:
+            raise FileNotFoundError(
+                "synthetic is made of meshes of your own; name their folder: synthetic:DIR"
+                " (docs/own-meshes.md)"
+            )
+        one, other = (f"{split}:{data_dir}" for split in self.splits)
         raise DataError(
-            f"synthetic:{folder} is two data sets, made of the meshes in {folder}, and here is"
-            f" room for one: {', '.join(f'{split}:{folder}' for split in self.splits)}. Name one of"
-            " them (docs/own-meshes.md)"
+            f"synthetic:{data_dir} is two data sets, and one is wanted here; name {one} or {other}"
+            " (docs/own-meshes.md)"
         )

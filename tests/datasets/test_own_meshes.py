@@ -1,6 +1,7 @@
 """``synthetic:DIR``: a folder of meshes of one's own, rendered; what is wrong with it is told."""
 
 import dataclasses
+import os
 import re
 import shutil
 from collections import Counter
@@ -24,6 +25,7 @@ from pytest_cpas.datasets.rendering import camera_rays
 from pytest_cpas.reading.meshes import read_mesh
 from pytest_cpas.types import Array, ContractError, DataError, Mesh, Pose, Sample
 
+NAME = "meshes.toml"
 TABLE = 'unit = "m"\nup = "y"\n'
 
 
@@ -316,9 +318,11 @@ def test_one_name_is_both_data_sets(tmp_path: Path) -> None:
     for name in ("tabletop", "handheld"):
         one = registry.open_dataset(f"synthetic-{name}:{root}", None)
         assert one.name == f"synthetic-{name}-kit"
-    for name in ("synthetic", f"synthetic:{root}"):
-        with pytest.raises(DataError, match=r"two data sets.*synthetic-tabletop:.*Name one of"):
-            registry.open_dataset(name, None)
+    with pytest.raises(DataError, match=r"is two data sets.*; name synthetic-tabletop:.* or synth"):
+        registry.open_dataset(f"synthetic:{root}", None)
+    for opened in (registry.open_dataset, lambda *given: registry.open_datasets(given[:1], None)):
+        with pytest.raises(FileNotFoundError, match="name their folder: synthetic:DIR"):
+            opened("synthetic", None)
 
 
 # -- what is wrong is told ----------------------------------------------------------------------
@@ -370,9 +374,19 @@ FAULTS: dict[str, tuple[Damage, str]] = {
         mesh(BLOCK, scale=1000),
         r"its box is 50 x 160 x 90 of m, 190 m across; expected 0\.05 to 0\.6 m.*\"mm\"",
     ),
+    "size in the axes of the file": (
+        lambda root: [
+            table('unit = "mm"\nup = "z"\nfront = "x"')(root),
+            mesh(box(1, 2, 3))(root),
+        ],
+        r"its box is 1 x 2 x 3 of mm",
+    ),
     "normalised": (mesh(box(0.001, 0.002, 0.001)), r"of m, 0\.00245 m across.*unit = 0\.12"),
     "unit": (table('unit = "feet"\nup = "y"'), r"unit is 'feet'; expected one of m, dm, cm, mm"),
     "unit of nothing": (table('unit = 0\nup = "y"'), r"unit is 0; expected one of m, dm, cm"),
+    "units": (table('unit = ["m"]\nup = "y"'), r"unit is \['m'\]; expected one of m, dm, cm"),
+    "unit is no number": (table('unit = nan\nup = "y"'), r"unit is nan; expected one of m, dm"),
+    "ups": (table('unit = "m"\nup = ["y"]'), r"up is \['y'\]; expected which of its axes"),
     "unit yes": (table('unit = true\nup = "y"'), r"unit is True; expected one of m, dm, cm"),
     "up": (table('unit = "m"\nup = "up"'), r"up is 'up'; expected which of its axes points up"),
     "front along up": (
@@ -428,7 +442,19 @@ FAULTS: dict[str, tuple[Damage, str]] = {
     ),
     "category that leads out": (
         lambda root: [mesh(BLOCK, "../o/b.obj")(root), link(root / "o", "../o")],
-        r"o/b\.obj: it leads to .*out of .*kit; copy it there",
+        r"kit/o: it leads to .*out of .*kit; copy it there",
+    ),
+    "table that leads out": (
+        lambda root: [(root / NAME).rename(root.parent / "t"), link(root / NAME, "../t")],
+        r"meshes\.toml: it leads to .*out of .*kit",
+    ),
+    "link to itself": (
+        lambda root: link(root / "block/b.obj", "block/b.obj"),
+        r"block/b\.obj: ",
+    ),
+    "a folder, no mesh": (
+        lambda root: (root / "block/b.obj").mkdir(),
+        r"block/b\.obj: not a regular file",
     ),
     "link to nothing": (
         lambda root: link(root / "block/b.obj", "none.obj"),
@@ -450,6 +476,17 @@ def test_fault_is_told(tmp_path: Path, cache: Path, name: str) -> None:
         OwnHandheld(root)
     assert "kit" in str(told.value) or name == "name"
     assert [p for p in cache.iterdir() if "kit" in p.name] == []
+
+
+def test_a_name_that_is_no_text(tmp_path: Path) -> None:
+    root = parts(tmp_path / "kit")
+    name = os.fsdecode(b"b\xff\x1b[31m.obj")
+    try:
+        save(root / "block" / name, BLOCK)
+    except OSError:
+        pytest.skip("a file system that knows names of text alone")
+    (found,) = MeshFolder(root).files
+    assert found.name == "block_b---31m"
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
