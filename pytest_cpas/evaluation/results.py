@@ -178,10 +178,7 @@ def parse_results(path: Path, content: bytes) -> Results:
         seen, _, text = line.partition(b" ")
         expected = checksum_of(last, text)
         if seen != expected:
-            raise ResultsError(
-                f"{path}, line {number}: its checksum is wrong, so the file was damaged or edited,"
-                " or the line was written by another run; remove the file and run again"
-            )
+            raise ResultsError(f"{path}, line {number}: {_why_wrong(line, header)}")
         size, last = size + len(line) + 1, expected
         try:
             value = result_lines.line(json_value("its JSON", text), first=header is None)
@@ -240,6 +237,24 @@ def parse_results(path: Path, content: bytes) -> Results:
         changed=changed,
         size=size,
         last=last,
+    )
+
+
+def _why_wrong(line: bytes, header: Header | None) -> str:
+    """What is told by a line without the checksum that it should have."""
+    if header is None and line.lstrip()[:1] in (b"{", b"["):
+        return (
+            "this is JSON without checksums, and no results file; a file of predictions is judged"
+            " with --cpas-predictions=FILE, and a report.json is compared with --cpas-against=FILE"
+        )
+    if line.endswith(b"\r"):
+        return (
+            "its line ends were changed to CRLF, as by a checkout or an editor, so its checksums"
+            " are wrong; take the file as it was written"
+        )
+    return (
+        "its checksum is wrong, so the file was damaged or edited, or the line was written by"
+        " another run; remove the file and run again"
     )
 
 

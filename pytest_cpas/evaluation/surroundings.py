@@ -248,7 +248,11 @@ def _is_folder(entry: os.DirEntry[str]) -> bool:
 
 
 def _is_link_to_data(entry: os.DirEntry[str]) -> bool:
-    return entry.is_symlink() and os.path.isdir(entry.path)
+    if not entry.is_symlink() or not os.path.isdir(entry.path):
+        return False
+    # pytest's NAME-current leads to the last NAME0, NAME1, ... that a test was given
+    name, current, rest = entry.name.rpartition("-current")
+    return not (current and not rest and Path(os.readlink(entry.path)).name.startswith(name))
 
 
 def _is_file(entry: os.DirEntry[str]) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas.submissions.answers import counted_otherwise
+from pytest_cpas.submissions.class_ids import other_meaning
 from pytest_cpas.submissions.frames import Answers, Submission
 from pytest_cpas.submissions.oddities import oddities
 from pytest_cpas.submissions.pairing import NEAR, Pairing
@@ -96,7 +97,9 @@ def audit(submission: Submission, pairing: Pairing, dataset: Dataset) -> list[st
     lines = []
     given = errors(lambda number: submission.images[number].answers)
     where = "" if len(numbers) == len(pairing.images) else f" of {len(numbers)} images"
-    found = _best(given, ((m, errors(m.undone)) for m in _mistakes(submission, pairing)))
+    places = ((number, truth.positions) for number, truth in truths.items())
+    usual = [*_mistakes(submission, pairing), *_exchanged(submission, pairing, places)]
+    found = _best(given, ((m, errors(m.undone)) for m in usual))
     other = _boxes_of_nothing(submission)
     # an object that was not detected may stand closer to something else
     without = _best(given, [(other, errors(other.undone))], closer=False)
@@ -211,6 +214,26 @@ def _mistakes(submission: Submission, pairing: Pairing) -> Iterator[_Mistake]:
             within(partial(counted_otherwise, step, len(submission.classes))),
         )
     yield from _misplaced(submission, pairing)
+
+
+def _exchanged(
+    submission: Submission, pairing: Pairing, places: Iterable[tuple[int, Array]]
+) -> Iterator[_Mistake]:
+    meant = other_meaning(submission, pairing, places)
+    if len({other - class_id for class_id, other in meant.items()}) < 2:
+        return  # nothing, or all are one more or one less, which is told so
+    ids = np.arange(len(submission.classes) + 1)
+    ids[list(meant)] = list(meant.values())
+    told = ", ".join(f"{a} as {submission.category(b)}" for a, b in sorted(meant.items()))
+    yield _Mistake(
+        f"to read the class ids {told}",
+        f"number classes from 1: {', '.join(submission.classes)}",
+        lambda number: _renumbered(submission.images[number].answers, ids),
+    )
+
+
+def _renumbered(answers: Answers, ids: NDArray[np.int64]) -> Answers:
+    return replace(answers, class_ids=ids[answers.class_ids])
 
 
 def _boxes_of_nothing(submission: Submission) -> _Mistake:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -156,6 +157,11 @@ def _lines(file: Path) -> Iterator[tuple[str, bytes, int]]:
 
 
 def _header(where: str, content: bytes, _: int) -> Header:
+    if re.match(rb"[0-9a-f]{16} \{", content):
+        raise DataError(
+            f"{where}: this is a results file of --cpas-results, which has what was measured of"
+            " answers, and no answers; pytest-cpas merge FILE judges it"
+        )
     told = table(json_value(where, content), where) if content else {}
     if told.get("format") != FORMAT:
         raise DataError(

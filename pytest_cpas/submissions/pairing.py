@@ -113,9 +113,11 @@ class Pairing:
         found: list[list[int]] = [[] for _ in refs]
         if answers.samples is not None:
             places = {ref.id: place for place, ref in enumerate(refs)}
-            for row in rows:
-                if answers.samples[row] in places:
-                    found[places[answers.samples[row]]].append(row)
+            same = self._same(refs, answers, rows)
+            for column, row in enumerate(rows):
+                place = places.get(answers.samples[row])
+                if place is not None and same[place, column]:
+                    found[place].append(row)
         elif answers.truths is not None:
             for row in rows:
                 if answers.truths[row] in linked:
@@ -214,8 +216,8 @@ def _images(
         )
     if foreign:
         notes.append(
-            f"{len(foreign)} of {len(stored)} images of the file are not in {dataset}, and do not"
-            f" count: {some_of(foreign)}"
+            f"{len(foreign)} of {len(stored)} images of the file are not among those of {dataset}"
+            f" that are here, and do not count: {some_of(foreign)}"
         )
     if not numbers:
         raise DataError(
@@ -244,6 +246,11 @@ def _strangers(
             f"{len(strangers)} samples of the file are not in {dataset.name}, or not in the image"
             f" that it says, and do not count: {some_of(strangers)}"
         )
+    if others := list(_otherwise_named(submission, dataset)):
+        notes.append(
+            f"{len(others)} answers name another category than that of their sample, and do not"
+            f" count: {some_of(others)}"
+        )
     there = {sample for _, sample in named}
     if lacking := [s for s, image in images.items() if s not in there and image in numbers]:
         notes.append(
@@ -251,6 +258,15 @@ def _strangers(
             f" correct: {some_of(lacking)}"
         )
     return notes
+
+
+def _otherwise_named(submission: Submission, dataset: Dataset) -> Iterable[str]:
+    true = {ref.id: ref.category for ref in dataset.samples}
+    for image in submission.images:
+        ids = image.answers.class_ids.tolist()
+        for sample, class_id in zip(image.answers.samples or (), ids, strict=False):
+            if class_id and sample in true and submission.category(class_id) != true[sample]:
+                yield f"{sample} ({true[sample]}) as {submission.category(class_id)}"
 
 
 def _other_classes(submission: Submission, dataset: Dataset) -> Sequence[str]:
@@ -265,8 +281,8 @@ def _other_classes(submission: Submission, dataset: Dataset) -> Sequence[str]:
     if not others:
         return []
     seen = (
-        f"{sum(others.values())} of {counts.total()} answers are of categories that"
-        f" {dataset.name} has no sample of: {some_of(list(others))}"
+        f"{sum(others.values())} of {counts.total()} answers are of categories of which no sample"
+        f" of {dataset.name} is here: {some_of(list(others))}"
     )
     if not {*counts} & {*dataset.class_names, *known}:
         raise DataError(

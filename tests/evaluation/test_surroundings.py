@@ -64,6 +64,7 @@ def project(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     monkeypatch.setattr(surroundings, "_left_out", set())
     (tmp_path / "setup.py").write_text("")
+    surroundings._everybodys.cache_clear()  # of the home of a run in this process
     return tmp_path
 
 

@@ -121,6 +121,14 @@ MISTAKES = {
         changed("pred_class_ids", lambda ids: np.where(ids > 1, ids - 1, ids)),
         "class ids as one more",
     ),
+    "two classes exchanged": (
+        changed("pred_class_ids", lambda ids: np.choose(ids, [0, 1, 2, 5, 4, 3, 6])),
+        "the class ids 3 as laptop, 5 as camera",
+    ),
+    "classes sorted otherwise": (
+        changed("pred_class_ids", lambda ids: np.choose(ids, [0, 6, 4, 1, 5, 2, 3])),
+        "the class ids ",
+    ),
     "next frame": (from_frame(1, *PREDICTED), "the previous frame"),
     "previous frame": (from_frame(-1, *PREDICTED), "the next frame"),
     "poses of the next frame": (

@@ -102,7 +102,8 @@ def test_frames_that_the_file_lacks_count(dataset, tmp_path):
     assert run.notes == [
         "2 of 3 images of real275 are not in the file, and count as not correct: scene_1/0001,"
         " scene_2/0010",
-        "1 of 2 images of the file are not in real275, and do not count: scene_9_0001",
+        "1 of 2 images of the file are not among those of real275 that are here, and do not count:"
+        " scene_9_0001",
     ]
 
 

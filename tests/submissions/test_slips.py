@@ -14,7 +14,15 @@ from test_detections import wrote as detected
 
 from pytest_cpas import cli
 from pytest_cpas.datasets.nocs import Real275
-from pytest_cpas.evaluation import DetectedRun, SavedAnswers, StoredRun
+from pytest_cpas.evaluation import (
+    DetectedRun,
+    ResultsError,
+    ResultsFile,
+    SavedAnswers,
+    Shard,
+    StoredRun,
+    read_results,
+)
 from pytest_cpas.submissions import DetectedDataset, read_submission, write_submission
 from pytest_cpas.types import DataError
 
@@ -133,9 +141,44 @@ def test_categories_that_a_data_set_lacks_are_named(tmp_path, dataset, all_of_th
             StoredRun(path, dataset=dataset)
     else:
         notes = StoredRun(path, dataset=dataset).notes
-        assert any(
-            note.startswith("1 of 9 answers are of categories that real275") for note in notes
-        )
+        told = "1 of 9 answers are of categories of which no sample of real275 is here"
+        assert any(note.startswith(told) for note in notes)
+
+
+@pytest.mark.parametrize("which", ["one", "all"])
+def test_a_category_that_is_not_that_of_the_sample_is_no_answer(tmp_path, dataset, which):
+    path = saved(StoredRun(submitted(tmp_path), dataset=dataset), tmp_path / "mine.jsonl")
+    header, *lines = map(json.loads, path.read_text().splitlines())
+    others = {line["category"]: line["category"] for line in lines}
+    others = dict(zip(others, [*list(others)[1:], *list(others)[:1]], strict=True))
+    changed = lines if which == "all" else lines[:1]
+    named = {line["sample"]: line["category"] for line in changed}
+    for line in changed:
+        line["category"] = others[line["category"]]
+    path.write_text("\n".join(map(json.dumps, [header, *lines])) + "\n")
+    run = StoredRun(path, dataset=dataset)
+    sample, was = next(iter(named.items()))
+    told = f"{len(named)} answers name another category than that of their sample, and do not count"
+    assert any(note.startswith(f"{told}: {sample} ({was}) as {others[was]}") for note in run.notes)
+    rows = {ref.id: run.judge(ref) for ref in run.samples}
+    assert {sample for sample, row in rows.items() if row.estimate is None} == {*named}
+
+
+def test_results_and_predictions_are_told_apart(tmp_path, dataset):
+    """Both are .jsonl, and may lie in one folder."""
+    run = StoredRun(submitted(tmp_path), dataset=dataset)
+    path = saved(run, tmp_path / "mine.jsonl")
+    with pytest.raises(
+        ResultsError, match=r"line 1: this is JSON without checksums, .*predictions"
+    ):
+        read_results(path)
+    with ResultsFile(tmp_path / "kept", run, Shard.parse("1/1")) as file:
+        file.add(run.judge(run.samples[0]))
+    with pytest.raises(DataError, match=r"line 1: this is a results file .*pytest-cpas merge"):
+        read_submission(file.path, dataset)
+    file.path.write_bytes(file.path.read_bytes().replace(b"\n", b"\r\n"))
+    with pytest.raises(ResultsError, match="line 1: its line ends were changed to CRLF"):
+        read_results(file.path)
 
 
 def test_images_without_names_are_not_written_as_one(tmp_path, dataset, capsys):
