@@ -27,6 +27,7 @@ not come across fails it. Tables of other names are for people.
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -143,16 +144,16 @@ def known_failures(
     path = folder / f"{name}.known.toml"
     if kind in _OLD_FILES:
         old = folder / _OLD_FILES[kind].format(name)
-        if old.is_file() and path.is_file():
+        if os.path.isfile(old) and os.path.isfile(path):  # of a name that is too long as well
             raise DeclarationError(f"{old}: {path.name} is there as well; move its entries there")
-        if old.is_file():
+        if os.path.isfile(old):
             warnings.warn(
                 f"{old}: what is known is kept in {path.name}; rename the file",
                 FutureWarning,
                 stacklevel=2,
             )
             path = old
-    return read_known(path, kind, checks) if path.is_file() else []
+    return read_known(path, kind, checks) if os.path.isfile(path) else []
 
 
 def read_known(path: Path, kind: Kind, checks: Collection[str]) -> list[KnownFailure]:

@@ -17,7 +17,7 @@ from pytest_cpas.types import ContractError, shown
 __all__ = ["Column", "CountColumn", "Protocol", "ProtocolError", "RankingColumn", "ScoreColumn"]
 
 #: The most that a limit may be, by the unit of its fact; what lies beyond is taken for a mistake.
-_LARGEST: Mapping[str, float] = {"deg": 180.0, "m": 100.0, "px": 100_000.0, "": 1000.0}
+_LARGEST: Mapping[str, float] = {"deg": 180.0, "m": 1.0, "px": 100_000.0, "": 1000.0}
 
 #: What a column can be judged by, the keys of which it has one: what it holds, and an example.
 _KINDS: Mapping[str, tuple[str, str]] = {

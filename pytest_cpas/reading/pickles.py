@@ -11,6 +11,16 @@ from pytest_cpas.reading.pickle_limits import MAX_FILE
 from pytest_cpas.reading.pickle_loop import unpickle
 from pytest_cpas.types import DataError
 
+#: How files begin that are met in the place of pickles.
+_PACKED = {
+    b"PK\3\4": "a zip archive, as torch.save and numpy.savez write",
+    b"\x1f\x8b": "gzip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\0": "xz",
+    b"\x28\xb5\x2f\xfd": "zstandard",
+}
+_UNPACK = "unpack it, or write what it holds with pickle.dump"
+
 
 def load_numpy_pickle(path: Path) -> dict[str, Any]:
     """Read a pickled dict as :func:`load_pickle` does.
@@ -40,4 +50,7 @@ def load_pickle(path: Path, classes: Collection[str] = ()) -> Any:
     try:
         return unpickle(content, classes)
     except DataError as error:
+        for magic, kind in _PACKED.items():
+            if content.startswith(magic):
+                raise DataError(f"{path}: {kind}, and no pickle; {_UNPACK}") from None
         raise DataError(f"{path}: {error}") from None

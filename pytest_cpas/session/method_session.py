@@ -56,7 +56,7 @@ from pytest_cpas.session.suite_session import (
     usage_errors,
 )
 from pytest_cpas.session.time_limit import sample_seconds, time_limit
-from pytest_cpas.types import ContractError, Verdict
+from pytest_cpas.types import ContractError, Verdict, some_of
 
 __all__ = ["ITEM_RESULT", "CpasSession", "cpas_session"]
 
@@ -373,10 +373,11 @@ class CpasSession(SuiteSession):
                 )
             known = {run.method for run in self.runs}
             known |= {entry.name for entry in registry.registered("method")}
-            for folder in orphans(self.options.golden, known):
+            if left := orphans(self.options.golden, known):
+                names = some_of(sorted({folder.parent.name for folder in left}))
                 terminal.write_line(
-                    f"orphaned golden table: no method {folder.parent.name} is registered or was"
-                    f" judged; if it is gone, remove {folder}"
+                    f"{len(left)} golden tables in {self.options.golden} are of what is neither"
+                    f" registered nor judged now: {names}; remove those of what is gone"
                 )
 
 

@@ -494,7 +494,7 @@ def results() -> list[bytes]:
     header = {
         "header": {
             "method": "m", "dataset": "d", "shard": "1/1", "selected": 2, "listed": {"mug": 2},
-            "missing": [], "damaged": [], "identity": {"data": "x"},
+            "missing": [], "derived": "", "damaged": [], "identity": {"data": "x"},
             "definitions": {name: fact(name).definition for name in facts},
             "provenance": {"code": "y"}, "files": {"a.py": "z"}, "seeds": 1,
             "under_contract": True, "nonce": "00",
@@ -530,7 +530,7 @@ def results() -> list[bytes]:
     return [made]
 
 
-FORMAT = 7
+FORMAT = 8
 
 
 def merged(path: Path) -> None:
@@ -587,7 +587,7 @@ def a_report() -> bytes:
 
     table = a_table()
     run: Any = SimpleNamespace(
-        method="m", dataset="d", missing=[], damaged=[], notes=["a note"], seeds=3,
+        method="m", dataset="d", missing=[], derived="", damaged=[], notes=["a note"], seeds=3,
         identity=table.identity,
         definitions=table.definitions, provenance=table.provenance, listed=table.listed,
         samples=[],
@@ -749,7 +749,8 @@ MESHES = (
 READERS: dict[str, Reader] = {
     "bytes": Reader(
         whole_file, lambda: [JSON], covers=("files.read_bytes", "files.read_text", "files.sha256",
-                                            "files.opened", "files.regular", "paths.names"),
+                                            "files.opened", "files.regular", "paths.names",
+                                            "paths.matching"),
     ),
     "json": Reader(of(R + "structured", "read_json"), lambda: [JSON], mutations=TEXT,
                    covers=("structured.read_json", "structured.parse_json")),

@@ -1,3 +1,6 @@
+import bz2
+import gzip
+import lzma
 import os
 import pickle
 from pathlib import Path
@@ -138,3 +141,20 @@ def test_all_real_pickles_are_as_plain_pickle_reads_them(test_data):
         for key, value in plain.items():
             assert type(read[key]) is type(value)
             np.testing.assert_array_equal(read[key], value, strict=True)
+
+
+@pytest.mark.parametrize(
+    ("packed", "kind"),
+    [
+        (gzip.compress, "gzip"),
+        (bz2.compress, "bzip2"),
+        (lzma.compress, "xz"),
+        (lambda content: b"PK\3\4" + content, "a zip archive, as torch.save"),
+        (lambda content: b"\x28\xb5\x2f\xfd" + content, "zstandard"),
+    ],
+)
+def test_what_is_packed_is_told_to_be_unpacked(tmp_path, packed, kind):
+    path = tmp_path / "a.pkl"
+    path.write_bytes(packed(pickle.dumps({"a": 1})))
+    with pytest.raises(DataError, match=rf"a\.pkl: {kind}.*, and no pickle; unpack it"):
+        load_numpy_pickle(path)

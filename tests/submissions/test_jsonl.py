@@ -2,6 +2,8 @@
 
 import base64
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -343,3 +345,15 @@ def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
         answers.finish(rows)
     assert target.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == [target.name, part.name]
+
+
+def test_the_example_of_the_docs_is_read(tmp_path):
+    docs = Path(__file__).parents[2] / "docs/predictions.md"
+    (block,) = re.findall(r"```\n(\{\"format\".*?)```", docs.read_text(), re.DOTALL)
+    path = tmp_path / "mine.jsonl"
+    path.write_text(block)
+    submission = read_submission(path)
+    (image,) = submission.images
+    assert image.name == "scene_1/0000"
+    assert image.answers.samples == ["scene_1/0000/1"]
+    assert submission.category(int(image.answers.class_ids[0])) == "bowl"
