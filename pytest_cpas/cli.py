@@ -84,6 +84,16 @@ def command_line() -> argparse.ArgumentParser:
     convert.add_argument(
         "--data", type=Path, metavar="DIR", help="folder that holds the data sets (or CPAS_DATA)"
     )
+    linking = commands.add_parser(
+        "link",
+        help="link the folders of a data set to where they are published",
+        description="Find the folders of real275, real_train or camera25 below DIR, whatever they"
+        " are called and wherever they are, by what is in them, and make links to them in the"
+        " layout in which the data set is published. Nothing is copied, moved or overwritten.",
+    )
+    linking.add_argument("folder", type=Path, metavar="DIR", help="where to look")
+    linking.add_argument("--as", required=True, dest="name", metavar="NAME", help="the data set")
+    linking.add_argument("--to", type=Path, metavar="DIR", help="where to (default: ./NAME)")
     golden = commands.add_parser(
         "golden",
         help="what an update of golden tables changed",
@@ -162,6 +172,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _new_adapter(options)
     if options.command == "convert":
         return _convert(options)
+    if options.command == "link":
+        return _link(options)
     if options.command == "golden":
         return _golden_diff(options.golden, options.revision)
     return _export_bop(options)
@@ -280,6 +292,20 @@ def _convert(options: argparse.Namespace) -> int:
         *(f"note: {note}" for note in submission.notes),
         *(f"lost: {line}" for line in lost),
     )
+    return 0
+
+
+def _link(options: argparse.Namespace) -> int:
+    from pytest_cpas.datasets.layouts import link
+    from pytest_cpas.types import ContractError
+
+    to = options.to or Path(options.name)
+    try:
+        lines = link(options.folder, options.name, to)
+    except (ContractError, OSError) as error:
+        say(f"pytest-cpas link: {error}", file=sys.stderr)
+        return 1
+    say(*lines, f"next:\n  pytest --cpas-check-dataset={options.name}:{to}")
     return 0
 
 
