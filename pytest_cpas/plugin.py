@@ -48,6 +48,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-examples": ("--cpas-metrics",),
     "--cpas-metrics-report": ("--cpas-metrics",),
     "--cpas-known-faults": ("--cpas-check-dataset", "--cpas-dataset"),
+    "--cpas-categories": ("--cpas-check-dataset", "--cpas-dataset"),
     "--cpas-pictures": ("--cpas-check-dataset",),
 }
 
