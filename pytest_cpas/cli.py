@@ -296,7 +296,7 @@ def _convert(options: argparse.Namespace) -> int:
 
 
 def _link(options: argparse.Namespace) -> int:
-    from pytest_cpas.datasets.layouts import link
+    from pytest_cpas.fetching.layouts import link
     from pytest_cpas.types import ContractError
 
     to = options.to or Path(options.name)

@@ -6,9 +6,9 @@ import pytest
 from test_nocs_fitted import write_camera25, write_real_train
 
 from pytest_cpas import cli
-from pytest_cpas.datasets.layouts import link
 from pytest_cpas.datasets.nocs import Real275
 from pytest_cpas.datasets.nocs_fitted import Camera25, RealTrain
+from pytest_cpas.fetching.layouts import link
 from pytest_cpas.types import DataError
 
 #: Where somebody has what is published elsewhere.
