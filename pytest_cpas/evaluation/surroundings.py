@@ -47,9 +47,7 @@ _ARCHIVES = frozenset({".zip", ".egg", ".whl", ".pyz"})
 _MARKS = (".git", "pyproject.toml", "setup.py", "setup.cfg")
 
 #: Folders that hold other people's code, or none.
-_NEVER = frozenset(
-    {"__pycache__", "site-packages", "dist-packages", "node_modules", ".git", ".cache"}
-)
+_NEVER = frozenset({"__pycache__", "site-packages", "dist-packages", "node_modules", ".git"})
 
 #: Folders that are about a method and no part of it, unless its text names them.
 _ASIDE = frozenset({"tests", "test", "docs", "doc"})

@@ -153,14 +153,15 @@ def test_files_of_ones_home_that_a_text_names(project, text):
     assert said(before, files(project, repr(text))) == f"changed: {text}"
 
 
+@pytest.mark.parametrize("folder", [".mine", ".cache"])
 @pytest.mark.parametrize("named", [True, False])
-def test_a_hidden_folder_counts_if_a_text_names_it(project, named):
-    at = project / "project/.mine/angle.yaml"
+def test_a_hidden_folder_counts_if_a_text_names_it(project, named, folder):
+    at = project / "project" / folder / "angle.yaml"
     write(at, "0")
-    text = repr(".mine" if named else "mine")
+    text = repr(folder if named else "mine")
     before = files(project, text)
     write(at, "7")
-    assert said(before, files(project, text)) == "changed: .mine/angle.yaml" * named
+    assert said(before, files(project, text)) == f"changed: {folder}/angle.yaml" * named
 
 
 class Finder:
