@@ -42,6 +42,7 @@ from pytest_cpas.types import DataError, DeclarationError, raised_as, shortened,
 
 __all__ = [
     "LEFT_OUT",
+    "LESS_IS_WORSE",
     "MEASURING",
     "WITHOUT_SHAPE",
     "KnownFailure",
@@ -73,6 +74,8 @@ MEASURING = {
     "masks": "IoU or share",
     "orientations": "coverage",
 }
+#: Those of them by which less is worse.
+LESS_IS_WORSE = frozenset({"masks", "orientations"})
 _RECORDED = ("outcome", "case", "snippet")
 
 #: What is known of a method and of an implementation of metrics had files of its own before.
@@ -114,12 +117,11 @@ class KnownFailure:
             for key, found in zip(_PATTERNS, there, strict=True)
         )
 
-    def is_no_worse(self, value: float | None, *, least: bool) -> bool:
-        """Whether what a check measured is at most ``worst``, or where less is worse, at ``least``
-        that."""
-        if self.worst is None:
-            return True
-        return value is not None and (value >= self.worst if least else value <= self.worst)
+    def is_no_worse(self, value: float | None) -> bool:
+        """Whether what the check measured is no worse than ``worst``."""
+        if self.worst is None or value is None:
+            return self.worst is None
+        return value >= self.worst if self.check in LESS_IS_WORSE else value <= self.worst
 
     def __str__(self) -> str:
         patterns = [f"{key} {value}" for key in _PATTERNS if (value := getattr(self, key)) != "*"]

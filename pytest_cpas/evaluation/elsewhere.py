@@ -9,12 +9,13 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.metadata
+import itertools
 import json
 import os
 import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,8 +34,8 @@ _OF_MACHINES = re.compile(
 )
 
 #: A path below a folder, or up from it; and how many folders up from a module one is looked for.
-_BELOW = re.compile(r"/?[\w.-]+(/[\w.-]+)*")
-_LONGEST_PATH, _ABOVE = 200, 4
+_BELOW = re.compile(r"(?=.{1,199}\Z)/?[\w.-]+(/[\w.-]+)*")
+_ABOVE = 4
 
 _MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
@@ -92,18 +93,18 @@ def providers(texts: Mapping[Path, Collection[str]], modules: Collection[str]) -
     from those above it: ``os.path.join(os.path.dirname(__file__), "..", "third_party")``."""
     found = set()
     for path, some in texts.items() if modules else ():
-        for text in some:
-            if len(text) < _LONGEST_PATH and _BELOW.fullmatch(text):
-                for start in path.parents[:_ABOVE]:
-                    with suppress(OSError):
-                        folder = (start / text.lstrip("/")).resolve()
-                        if any(_has_module(folder, name) for name in modules):
-                            found.add(folder)
+        names = {text.lstrip("/") for text in some if _BELOW.fullmatch(text)}
+        for start, name in itertools.product(path.parents[:_ABOVE], names):
+            folder = os.path.join(start, name)
+            # most texts are the name of no folder, which one look tells
+            if os.path.isdir(folder) and any(_has_module(folder, module) for module in modules):
+                found.add(Path(folder).resolve())
     return sorted(found)
 
 
-def _has_module(folder: Path, name: str) -> bool:
-    return (folder / f"{name}.py").is_file() or (folder / name / "__init__.py").is_file()
+def _has_module(folder: str, name: str) -> bool:
+    files = (os.path.join(folder, f"{name}.py"), os.path.join(folder, name, "__init__.py"))
+    return any(map(os.path.isfile, files))
 
 
 def installed_from_elsewhere(distributions: Iterable[str]) -> dict[str, str]:

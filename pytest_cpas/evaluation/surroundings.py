@@ -152,6 +152,7 @@ class _Look:
         if (root, only) in self._seen:
             return
         self._seen.add((root, only))
+        behind_link = only is SETTINGS
         entries = files = others = 0
         level = [root]
         while level:
@@ -164,7 +165,7 @@ class _Look:
                 entries += len(there)
                 for entry in there:
                     path = Path(entry.path)
-                    if _is_folder(entry) and not (only is SETTINGS and entry.is_symlink()):
+                    if _is_folder(entry) and not (behind_link and entry.is_symlink()):
                         below += [path] if self._is_entered(path) else []
                     elif only is None and _is_link_to_data(entry) and self._is_entered(path):
                         # where it leads to, and the settings there
@@ -175,7 +176,7 @@ class _Look:
                     elif (only or READ).fullmatch(path.name):
                         self.name(path, within or root)
                         files += 1
-                    elif only is not SETTINGS and others < _MOST_FILES and self._is_read(path):
+                    elif not behind_link and others < _MOST_FILES and self._is_read(path):
                         # they take no place from code and settings
                         self.name(path, within or root)
                         others += 1

@@ -48,9 +48,6 @@ def _fault_of(ref: SampleRef, faults: Sequence[KnownFailure]) -> KnownFailure | 
     return None
 
 
-_DONE = {True: "left out", False: "judged without shape"}
-
-
 class _WithoutFaults(WrappedDataset):
     def __init__(self, dataset: Dataset, faults: dict[str, KnownFailure]) -> None:
         super().__init__(dataset)
@@ -62,8 +59,8 @@ class _WithoutFaults(WrappedDataset):
         self.missing = [
             *dataset.missing,
             *(
-                f"known fault ({fault}): {count} samples {_DONE[fault.run == LEFT_OUT]}."
-                f" {fault.reason}"
+                f"known fault ({fault}): {count} samples"
+                f" {'' if fault.run == LEFT_OUT else 'judged '}{fault.run}. {fault.reason}"
                 for fault, count in counts.items()
             ),
         ]

@@ -15,7 +15,7 @@ from pytest_cpas.checks.dataset import CHECKS, Problem
 from pytest_cpas.checks.dataset.facts import Survey, survey
 from pytest_cpas.checks.dataset.orientations import up_axis_spread
 from pytest_cpas.checks.dataset.verdicts import DatasetWord, judge
-from pytest_cpas.checks.known import MEASURING, KnownFailure, read_known
+from pytest_cpas.checks.known import LESS_IS_WORSE, MEASURING, KnownFailure, read_known
 from pytest_cpas.datasets.nocs import NocsTree, Real275
 from pytest_cpas.datasets.synthetic import HANDHELD, TABLETOP, generate
 from pytest_cpas.types import Camera, SampleRef
@@ -365,8 +365,8 @@ def test_a_known_fault_is_as_large_as_it_was_seen(tree, plant):
     assert {problem.value is not None for problem in problems} == {check in MEASURING}
     if check not in MEASURING:
         return
-    step = -1e-6 if problems[0].less_is_worse else 1e-6
-    worst = (min if problems[0].less_is_worse else max)(problem.value for problem in problems)
+    step = -1e-6 if check in LESS_IS_WORSE else 1e-6
+    worst = (min if check in LESS_IS_WORSE else max)(problem.value for problem in problems)
     for limit, word in ((worst, "KNOWN"), (worst + step, "KNOWN"), (worst - step, "FAILED")):
         known = KnownFailure(check=check, reason="seen", worst=limit)
         assert judge(measured, check, [known]).word is DatasetWord[word]

@@ -63,7 +63,6 @@ class Problem:
     model: str = ""
     category: str = ""
     value: float | None = None
-    less_is_worse: bool = False
 
     def __str__(self) -> str:
         what = ", ".join(filter(None, (self.category, self.model)))
@@ -312,11 +311,10 @@ def check_masks(survey: Survey) -> list[Problem] | None:
     for facts, image in judged:
         if image.iou is not None and image.iou < MIN_IOU:
             message = f"IoU with the rendered silhouette is {image.iou:.2f}, expected {MIN_IOU}"
-            found.append((image.iou, _problem(facts, message, image.iou, less_is_worse=True)))
+            found.append((image.iou, _problem(facts, message, image.iou)))
         elif image.iou is None and image.overlap < MIN_OVERLAP:
             message = f"{image.overlap:.0%} of it in the projected box, expected {MIN_OVERLAP:.0%}"
-            problem = _problem(facts, message, image.overlap, less_is_worse=True)
-            found.append((image.overlap, problem))
+            found.append((image.overlap, _problem(facts, message, image.overlap)))
     return [problem for _, problem in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -337,7 +335,6 @@ def check_orientations(survey: Survey) -> list[Problem] | None:
             f" {spread.coverage:.0%} of what uniform orientations reach (expected"
             f" {MIN_COVERAGE:.0%}); their mean resultant length is {spread.resultant:.3f}",
             value=spread.coverage,
-            less_is_worse=True,
         )
     ]
 
@@ -376,11 +373,8 @@ CHECKS: dict[str, Check] = {
 }
 
 
-def _problem(
-    facts: SampleFacts, message: str, value: float | None = None, *, less_is_worse: bool = False
-) -> Problem:
-    where = facts.sample, facts.model, facts.category
-    return Problem(message, *where, value=value, less_is_worse=less_is_worse)
+def _problem(facts: SampleFacts, message: str, value: float | None = None) -> Problem:
+    return Problem(message, facts.sample, facts.model, facts.category, value)
 
 
 def _of_meshes(

@@ -92,7 +92,7 @@ def _not_judged(survey: Survey, check: str) -> str:
 
 def _covers(fault: KnownFailure, problem: Problem) -> bool:
     where = {"sample": problem.sample, "model": problem.model, "category": problem.category}
-    return fault.matches(**where) and fault.is_no_worse(problem.value, least=problem.less_is_worse)
+    return fault.matches(**where) and fault.is_no_worse(problem.value)
 
 
 if not TYPE_CHECKING:  # a type checker would take every name for one that there is
