@@ -13,6 +13,7 @@ from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
 from pytest_cpas.evaluation.meanwhile import Meanwhile, Seen, seen
 from pytest_cpas.evaluation.measuring import measure
+from pytest_cpas.evaluation.other_side import with_other_side
 from pytest_cpas.evaluation.program import look_again, program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
@@ -22,6 +23,7 @@ from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
 from pytest_cpas.reading.checkpoints import LARGEST_CHECKPOINT
 from pytest_cpas.reading.files import sha256
+from pytest_cpas.remote import RaisedThereError, RemoteMethod, WorkerError
 from pytest_cpas.submissions import Given
 from pytest_cpas.types import (
     AnswerError,
@@ -134,7 +136,8 @@ class MethodRun(Run):
             [*dict.fromkeys([type(method), made_by or type(method)])],
             readers_of(dataset),
         ]
-        programs = self._programs = [program_of(*parts) for parts in self._parts]
+        method_program, data_program = (program_of(*parts) for parts in self._parts)
+        programs = self._programs = [with_other_side(method_program, method), data_program]
         self._meanwhile = Meanwhile(self.loading.seen, *(program.seen for program in programs))
         self.files = united(*(program.files for program in programs))
         unusual = {} if method.info.deterministic else {"deterministic": "no"}
@@ -194,6 +197,8 @@ class MethodRun(Run):
         if thoroughly:
             for parts, before in zip(self._parts, self._programs, strict=True):
                 now = look_again(before, *parts)
+                if before is self._programs[0]:
+                    now = with_other_side(now, self._method)
                 names = [*changed_names(before.files, now.files)]
                 told = (before.code, before.packages) != (now.code, now.packages)
                 if told and not names:
@@ -220,6 +225,8 @@ class MethodRun(Run):
 
     def limited(self, method: Method) -> Method:
         """``method``, loaded or another instance, as the contract is checked: within the limit."""
+        if isinstance(method, RemoteMethod):
+            method = method.checked()
         return method if self.limit is None else cast(Method, Limited(method, self.limit))
 
     @raised_as(DataError)
@@ -295,6 +302,10 @@ class MethodRun(Run):
             raise SampleError(str(error)) from None
         except ContractError as error:
             raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
+        except RaisedThereError as error:
+            raise SampleError(f"{where}: the method raised {error}") from None
+        except WorkerError as error:
+            raise SampleError(f"{where}: {error}") from None
         except Exception as error:
             raise SampleError(f"{where}: the method raised {error!r}") from error
         try:

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas.reading.text import terminal_lines
+from pytest_cpas.remote import RemoteMethod
 from pytest_cpas.types import ContractError, Method, Observation, Prediction
 
 try:
@@ -248,11 +249,13 @@ class Limit:
         self, method: Method, batch: list[Observation], seed: int, what: str, **about: Any
     ) -> Sequence[Prediction]:
         """The method's answers; ``what``: the call, in words."""
+        seconds = self.seconds * max(len(batch), 1)
+        if isinstance(method, RemoteMethod):  # its worker is ended, not this process
+            return method.predict_within(batch, seed, seconds)
         try:
             file = inspect.getfile(type(method))
         except (TypeError, OSError):
             file = ""
-        seconds = self.seconds * max(len(batch), 1)
         about = {**self.about, **about}
         with self.watchdog.watch(what, seconds, hint=self.hint, file=file, **about):
             return method.predict(batch, seed)

@@ -32,6 +32,7 @@ from pytest_cpas.evaluation import (
     Selection,
 )
 from pytest_cpas.golden import RunTable
+from pytest_cpas.remote import RemoteMethod
 from pytest_cpas.types import ContractError, Sample, SampleRef, shown
 from pytest_cpas.types.samples import evenly
 
@@ -106,7 +107,8 @@ class ContractStage:
         """Read what is known; :class:`DeclarationError` if that file is damaged."""
         self.run = run
         method = run.unloaded
-        folder = Path(inspect.getfile(type(method))).parent
+        known_in = Path(inspect.getfile(type(method))).parent
+        folder = method.remote.spec.folder if isinstance(method, RemoteMethod) else known_in
         known = known_failures(folder, method.info.name, "contract", CONTRACT)
         self.known = {failure.check: failure for failure in known}
         self._results: dict[str, ContractResult] = {}

@@ -33,7 +33,8 @@ class RunOptions:
     false alarm against a golden table of several seeds; ``protocols``: what is judged under, the
     paper's if None; ``timeout``: seconds that a prediction may take per sample, None for any;
     ``reuse_any``: whether rows in ``results`` serve that another program computed; ``save``: the
-    file, or the folder, for all answers; ``others`` are the files of the runs to compare with.
+    file, or the folder, for all answers; ``others`` are the files of the runs to compare with;
+    ``root``: the folder of the project.
     """
 
     methods: Sequence[str] = ()
@@ -64,6 +65,7 @@ class RunOptions:
     report: Path | None = None
     others: Sequence[Path] = ()
     known_faults: Sequence[Path] = ()
+    root: Path = Path()
 
     @classmethod
     def of(
@@ -72,6 +74,7 @@ class RunOptions:
         here: Path,
         *,
         golden: Path,
+        root: Path = Path(),
         alarm: float = ALARM,
         protocols: Sequence[Protocol] | None = None,
         timeout: float | None = None,
@@ -113,6 +116,7 @@ class RunOptions:
             report=_path(here, options.cpas_report),
             others=_paths(here, options.cpas_against),
             known_faults=_paths(here, options.cpas_known_faults),
+            root=root,
         )
 
     @property

@@ -25,6 +25,13 @@ from pytest_cpas.evaluation import (
     StoredRun,
     merge,
 )
+from pytest_cpas.remote import (
+    RaisedThereError,
+    WorkerError,
+    named_methods,
+    remote_method,
+    spec_of,
+)
 from pytest_cpas.report.against import pairs
 from pytest_cpas.report.stored import read_runs
 from pytest_cpas.session.known_faults import without_faults
@@ -52,7 +59,7 @@ def resolve_runs(options: RunOptions) -> list[Run]:
     :class:`pytest_cpas.evaluation.ResultsError`, :class:`OSError`.
     """
     _check_both_sides(options)
-    methods = [(name, make_method(name, options.weights)) for name in options.methods]
+    methods = [(n, make_method(n, options.weights, options.root)) for n in options.methods]
     datasets = [
         categorised(without_faults(dataset, options.known_faults), options.categories)
         for dataset in registry.open_datasets(options.datasets, options.data)
@@ -103,14 +110,16 @@ def categorised(dataset: Dataset, categories: Path | None) -> Dataset:
     return CategorisedDataset(dataset, categories_file(categories))
 
 
-def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
-    """Check a method's class and its assets; nothing is loaded.
+def make_method(name: str, weights: Path | None, root: Path) -> Callable[[], Method]:
+    """Check a method's class and its assets; nothing is loaded, but for the worker of a method in
+    another interpreter, which is started. ``root``: the folder of the project, whose files may name
+    such methods.
 
     Raises :class:`pytest_cpas.registry.RegistryError` for a name that means nothing,
     :class:`pytest_cpas.types.DeclarationError` for what is no method,
     :class:`FileNotFoundError` for assets that are not below ``weights``.
     """
-    factory = registry.resolve("method", name)
+    factory = _factory(name, root)
     info = _asked(name, "info", lambda: getattr(factory, "info", None))
     if not isinstance(info, MethodInfo):
         raise DeclarationError(
@@ -124,6 +133,29 @@ def make_method(name: str, weights: Path | None) -> Callable[[], Method]:
             raise FileNotFoundError(f"{info.name} needs {error}") from None
     make: Callable[[], Method] = factory
     return make
+
+
+def _factory(name: str, root: Path) -> Any:
+    """What makes the method: a class of this interpreter, or one that stands for a worker."""
+    spec = spec_of(name, root)
+    if spec is None:
+        try:
+            return registry.resolve("method", name)
+        except registry.RegistryError as error:
+            if ":" not in name and (named := named_methods(root)):
+                raise registry.RegistryError(
+                    f"{error}; methods of this project: {', '.join(named)}"
+                ) from None
+            raise
+    if name in {entry.name for entry in registry.registered("method")}:
+        raise registry.RegistryError(
+            f"method {name!r} is registered, and named in a file of {root} as well; call that one"
+            " otherwise"
+        )
+    try:
+        return remote_method(spec)
+    except (WorkerError, RaisedThereError) as error:
+        raise registry.RegistryError(f"method {name!r}: {error}") from None
 
 
 def _asked(name: str, part: str, ask: Callable[[], Any]) -> Any:

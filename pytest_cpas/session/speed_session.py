@@ -125,7 +125,7 @@ def plan_of(options: Namespace, run_options: RunOptions) -> Plan:
     """
     fail = options.cpas_benchmark_fail
     limit = None if fail is None else parse_limit(fail)
-    rival = _rival(options.cpas_benchmark_against, run_options.weights)
+    rival = _rival(options.cpas_benchmark_against, run_options.weights, run_options.root)
     if rival and run_options.update:
         raise ValueError(
             "--snapshot-update records the ratio to the calibration kernel, which is not timed with"
@@ -141,7 +141,7 @@ def plan_of(options: Namespace, run_options: RunOptions) -> Plan:
     )
 
 
-def _rival(name: str | None, weights: Path | None) -> Rival | None:
+def _rival(name: str | None, weights: Path | None, root: Path) -> Rival | None:
     if name is None:
         return None
     if name.startswith(_REVISION):
@@ -149,7 +149,7 @@ def _rival(name: str | None, weights: Path | None) -> Rival | None:
         if not revision:
             raise ValueError(f"--cpas-benchmark-against is {name!r}, expected such as git:HEAD~1")
         return Rival(name, revision=revision)
-    made = make_method(name, weights)
+    made = make_method(name, weights, root)
     if not isinstance(made, type):
         raise ValueError(f"--cpas-benchmark-against {name}: {made!r}, expected a class")
     return Rival(name, made)

@@ -1,0 +1,21 @@
+"""Methods where they live: in another interpreter, in a container, on another host.
+
+:mod:`pytest_cpas.remote.worker` runs there and knows nothing of this package;
+:class:`RemoteMethod` stands for it here.
+"""
+
+from pytest_cpas.remote.method import OtherSide, RaisedThereError, RemoteMethod, Spec, remote_method
+from pytest_cpas.remote.named import named_methods, spec_of
+from pytest_cpas.remote.process import WorkerError, close_all
+
+__all__ = [
+    "OtherSide",
+    "RaisedThereError",
+    "RemoteMethod",
+    "Spec",
+    "WorkerError",
+    "close_all",
+    "named_methods",
+    "remote_method",
+    "spec_of",
+]

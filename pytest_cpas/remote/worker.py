@@ -1,0 +1,710 @@
+"""The worker of pytest-cpas: runs a method in an interpreter of its own, and answers over a pipe.
+
+One file, of the standard library and numpy alone, for Python 3.6 and newer: the harness sends it
+through the standard input of ``python -c exec(input())``, so that nothing of pytest-cpas has to be
+there. Where that cannot be, it is copied: ``python worker.py TOKEN``. A method can import it as
+``cpas_worker``, for its :func:`stage`.
+
+A frame, either way, is a token that nobody else knows, the lengths of what follows (4 and 8 bytes,
+big-endian), a header in JSON, raw arrays in the order and of the types that it names, and the token
+again. What anybody prints goes to the standard error stream; so does, in a line that begins with
+the token, how the process of the method died, which is told by the one that watches it.
+"""
+
+import contextlib
+import errno
+import hashlib
+import importlib
+import io
+import json
+import os
+import platform
+import random
+import re
+import select
+import signal
+import struct
+import sys
+import sysconfig
+import time
+import traceback
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
+
+#: Both sides have to speak the same.
+PROTOCOL = 1
+
+#: Bytes of a header at most, and of a traceback that goes into one.
+LARGEST_HEADER, _TRACEBACK = 2**22, 8000
+
+#: Bytes of all arrays of an answer at most: those of a million points, ten times.
+LARGEST_BODY = 2**28
+
+#: What precedes a header, behind the token.
+LENGTHS = struct.Struct(">IQ")
+
+#: Seconds that the process of the method has to end by itself when the line is cut.
+_GRACE = 0.5
+
+#: Files that tell of a program, and their bytes up to which all of them count, each and together.
+_MOST_FILES, _WHOLE, _ALL = 20000, 2**23, 2**28
+
+#: What an answer may hold, and what of it is numbers.
+_PARTS = ("rotation", "translation", "extents", "points", "vertices", "triangles", "score")
+
+_SET_PIPE_SIZE, _PIPE_SIZE = 1031, 2**20  # Linux; the system's own size is 64 KiB
+
+
+class Line:
+    """The pipe: frames in, frames out."""
+
+    def __init__(self, token: str, requests: int, answers: int) -> None:
+        self._token = token.encode("ascii")
+        self._requests = io.FileIO(requests, "rb", closefd=False)
+        self._answers = io.FileIO(answers, "wb", closefd=False)
+
+    def receive(self) -> Optional[Tuple[Dict[str, Any], List[Any]]]:
+        """The next request and its arrays; None at the end."""
+        head = self._read(bytearray(len(self._token) + LENGTHS.size))
+        if head is None:
+            return None
+        header_size, _ = LENGTHS.unpack(head[len(self._token) :])
+        header = json.loads(bytes(self._read(bytearray(header_size)) or b"null").decode("utf-8"))
+        arrays = []
+        if header["arrays"]:
+            import numpy as np
+
+            for dtype, shape in header["arrays"]:
+                array = np.empty(shape, dtype)
+                if array.size:
+                    self._read(array.reshape(-1).view(np.uint8).data)
+                arrays.append(array)
+        self._read(bytearray(len(self._token)))
+        return header, arrays
+
+    def _read(self, into: Any) -> Any:
+        rest = memoryview(into)
+        while len(rest):
+            count = self._requests.readinto(rest)
+            if not count:
+                return None
+            rest = rest[count:]
+        return into
+
+    def send(self, header: Dict[str, Any], arrays: Sequence[Any] = ()) -> None:
+        """An answer and its arrays, which are C-contiguous and little-endian."""
+        header["arrays"] = [[array.dtype.str, list(array.shape)] for array in arrays]
+        text = json.dumps(header).encode("ascii")
+        size = sum(array.nbytes for array in arrays)
+        if size > LARGEST_BODY:
+            message = f"an answer of {size} bytes, at most {LARGEST_BODY} are read"
+            return self.send(_told(AnswerError(message)))
+        parts = [self._token + LENGTHS.pack(len(text), size) + text]
+        parts += [array.tobytes() for array in arrays] + [self._token]
+        rest = memoryview(b"".join(parts))
+        while len(rest):
+            rest = rest[self._answers.write(rest) :]
+
+
+# -- the method ---------------------------------------------------------------------------------
+
+
+class Stages:
+    """Adds up the seconds of stages while it listens, as ``pytest_cpas.stages`` does."""
+
+    def __init__(self) -> None:
+        self.listens, self.inside = False, False
+        self.seconds: Dict[str, float] = {}
+        self.synchronise: Any = lambda: None
+
+    @contextlib.contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Add this block to a stage; a stage within one is a part of that."""
+        if self.inside or not self.listens:
+            yield
+            return
+        self.inside = True
+        self.synchronise()
+        start = now()
+        try:
+            yield
+        finally:
+            self.synchronise()
+            self.seconds[name] = self.seconds.get(name, 0.0) + now() - start
+            self.inside = False
+
+
+_stages = Stages()
+
+
+def stage(name: str) -> Any:
+    """``with stage("network"):`` names a stage of a prediction, for ``--cpas-benchmark``."""
+    return _stages.timed(name)
+
+
+def now() -> float:
+    """Seconds of a clock that stands still while this thread waits for a core, on Linux."""
+    while True:
+        waited = _waited()
+        instant = time.perf_counter()
+        if _waited() == waited:
+            return instant - waited
+
+
+def _waited() -> float:
+    try:
+        with open("/proc/thread-self/schedstat", "rb") as file:
+            return int(file.read().split()[1]) / 1e9
+    except (OSError, IndexError):
+        return 0.0
+
+
+class Served:
+    """The class of a method, and the instances of it that the harness uses."""
+
+    def __init__(self) -> None:
+        self._class: Any = None
+        self._methods: Dict[int, Any] = {}
+        self._device = "cpu"
+
+    def answer(
+        self, request: Dict[str, Any], arrays: List[Any]
+    ) -> Tuple[Dict[str, Any], List[Any]]:
+        """What a request asks for; raises whatever the method raises."""
+        if request["call"] == "predict":
+            return self._predict(request, arrays)
+        return {"value": getattr(self, "_" + request["call"])(request)}, []
+
+    def _open(self, request: Dict[str, Any]) -> Any:
+        """Import the class; what it declares."""
+        os.environ.update(request["env"])
+        if request["path"]:
+            # nothing else that lies about is imported by chance
+            sys.path[:] = request["path"] + [folder for folder in sys.path if folder]
+        sys.dont_write_bytecode = True
+        import numpy  # noqa: F401 - whatever the method needs, this file does
+
+        module, _, name = request["class"].partition(":")
+        made = importlib.import_module(module)
+        for part in name.split("."):
+            made = getattr(made, part)
+        self._class = made
+        info = getattr(made, "info", None)
+        if isinstance(info, dict):
+            told = {key: _plain(value) for key, value in info.items()}
+        elif info is None or not hasattr(info, "categories"):
+            raise TypeError(
+                "{} has no info; a method is a class with a dictionary info, load(assets, device)"
+                " and predict(batch, seed)".format(request["class"])
+            )
+        else:
+            told = {key: _plain(value) for key, value in vars(info).items()}
+            told["assets"] = [_plain(vars(asset)) for asset in info.assets]
+        return {"info": told, "has_assets_in": hasattr(made, "assets_in"), "doc": made.__doc__}
+
+    def _assets_in(self, request: Dict[str, Any]) -> Any:
+        assets = self._class.assets_in(Path(request["folder"]))
+        return [_plain(a if isinstance(a, dict) else vars(a)) for a in assets]
+
+    def _load(self, request: Dict[str, Any]) -> Any:
+        """Another instance, loaded."""
+        method = self._class()
+        folder, self._device = request["assets"], request["device"]
+        method.load(None if folder is None else Path(folder), self._device)
+        self._methods[request["instance"]] = method
+
+    def _drop(self, request: Dict[str, Any]) -> Any:
+        self._methods.pop(request["instance"], None)
+
+    def _sources(self, request: Dict[str, Any]) -> Any:
+        return sources(request["path"])
+
+    def _facts(self, request: Dict[str, Any]) -> Any:
+        return facts(self._device)
+
+    def _memory(self, request: Dict[str, Any]) -> Any:
+        return memory(self._device, request["anew"])
+
+    def _predict(
+        self, request: Dict[str, Any], arrays: List[Any]
+    ) -> Tuple[Dict[str, Any], List[Any]]:
+        method = self._methods[request["instance"]]
+        plain = isinstance(getattr(method, "info", None), dict)
+        batch = [
+            _observation(told, arrays[3 * index : 3 * index + 3], plain)
+            for index, told in enumerate(request["batch"])
+        ]
+        before = [array.copy() for array in arrays] if request["checked"] else []
+        drawn = _RandomStates(request["random"])
+        _stages.synchronise = _synchroniser(self._device)
+        _stages.listens, _stages.seconds = request["timed"], {}
+        with _also_listening(_stages):
+            start = now()
+            predictions = method.predict(batch, request["seed"])
+            _stages.synchronise()
+            seconds = now() - start
+        made: List[Any] = []
+        answers = [
+            _answer(index, answer, made) for index, answer in enumerate(_listed(predictions))
+        ]
+        changed = [
+            index for index, old in enumerate(before) if old.tobytes() != arrays[index].tobytes()
+        ]
+        return {
+            "answers": answers,
+            "seconds": seconds,
+            "stages": _stages.seconds,
+            "drawn": drawn.changed(),
+            "changed": changed,
+        }, made + [arrays[index] for index in changed]
+
+
+@contextlib.contextmanager
+def _also_listening(stages: Stages) -> Iterator[None]:
+    """Where an adapter has imported ``pytest_cpas.stages``, its stages are timed by that."""
+    theirs: Any = sys.modules.get("pytest_cpas.stages")
+    if theirs is None or not stages.listens:
+        yield
+        return
+    clock = theirs.StageClock(now, stages.synchronise)
+    with clock.listening():
+        yield
+    for name, seconds in clock.seconds.items():
+        stages.seconds[name] = stages.seconds.get(name, 0.0) + seconds
+
+
+def _synchroniser(device: str) -> Any:
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not device.startswith("cuda"):
+        return lambda: None
+    return lambda: torch.cuda.synchronize(device)
+
+
+def _observation(told: Dict[str, Any], arrays: List[Any], plain: bool) -> Any:
+    """What a method sees: a dictionary, or what an adapter for pytest-cpas expects."""
+    parts = dict(zip(("rgb", "depth", "mask"), arrays))
+    if plain:
+        return dict(parts, category=told["category"], camera=dict(told["camera"]))
+    types: Any = sys.modules["pytest_cpas.types"]
+    parts["camera"] = types.Camera(**told["camera"])
+    made = object.__new__(types.Observation)  # the harness has looked at it
+    vars(made).update(parts, category=told["category"])
+    return made
+
+
+def _listed(predictions: Any) -> List[Any]:
+    if isinstance(predictions, dict) or not isinstance(predictions, (list, tuple)):
+        raise AnswerError(
+            f"predict gave a {type(predictions).__name__}, expected a list with an answer for each"
+            " observation"
+        )
+    return list(predictions)
+
+
+class AnswerError(ValueError):
+    """An answer that cannot be sent."""
+
+
+def _answer(index: int, answer: Any, made: List[Any]) -> Dict[str, Any]:
+    """An answer in JSON, its arrays appended to ``made``."""
+    where = f"answer {index}"
+    if hasattr(answer, "hypotheses"):
+        reason, hypotheses = answer.reason, [_of_object(each) for each in answer.hypotheses]
+    elif isinstance(answer, dict) and "failed" in answer:
+        reason, hypotheses = answer["failed"], []
+    else:
+        reason, hypotheses = None, [answer] if isinstance(answer, dict) else answer
+    if not isinstance(hypotheses, (list, tuple)):
+        raise AnswerError(
+            f"{where} is a {type(answer).__name__}, expected a dictionary such as"
+            ' {"rotation": R, "translation": t}, a list of such, the best first, or'
+            ' {"failed": "why"}'
+        )
+    told = [
+        _hypothesis(f"{where}, hypothesis {n}", each, made) for n, each in enumerate(hypotheses)
+    ]
+    return {"reason": None if reason is None else str(reason)[:4000], "hypotheses": told}
+
+
+def _of_object(hypothesis: Any) -> Dict[str, Any]:
+    told = {name: getattr(hypothesis, name, None) for name in _PARTS}
+    if hypothesis.mesh is not None:
+        told.update(vertices=hypothesis.mesh.vertices, triangles=hypothesis.mesh.triangles)
+    return told
+
+
+def _hypothesis(where: str, hypothesis: Any, made: List[Any]) -> Dict[str, int]:
+    """Which of the arrays is which part."""
+    import numpy as np
+
+    if not isinstance(hypothesis, dict):
+        raise AnswerError(f"{where} is a {type(hypothesis).__name__}, expected a dictionary")
+    unknown = sorted(str(name) for name in set(hypothesis) - set(_PARTS))
+    if unknown:
+        raise AnswerError(
+            "{} has {}, expected some of {}".format(where, ", ".join(unknown), ", ".join(_PARTS))
+        )
+    places = {}
+    for name in _PARTS:
+        value = hypothesis.get(name)
+        if value is None:
+            continue
+        for unwrap in ("detach", "cpu", "numpy"):  # a tensor
+            if hasattr(value, unwrap):
+                value = getattr(value, unwrap)()
+        array = np.asarray(value)
+        if array.nbytes > LARGEST_BODY:
+            raise AnswerError(f"{where}: {name} take {array.nbytes} bytes, at most {LARGEST_BODY}")
+        if array.dtype.kind not in "fiu" or array.dtype.itemsize > 8:
+            raise AnswerError(f"{where}: {name} is of type {array.dtype}, expected numbers")
+        places[name] = len(made)
+        made.append(np.array(array, array.dtype.newbyteorder("<"), order="C"))
+    return places
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, (set, frozenset)):
+        return sorted(str(each) for each in value)
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return value if isinstance(value, (bool, int, float, type(None))) else str(value)
+
+
+class _RandomStates:
+    """The global random states, seeded as the harness has its own; who drew from them."""
+
+    def __init__(self, seed: int) -> None:
+        import numpy as np
+
+        self._numpy = np.random
+        self._torch: Any = sys.modules.get("torch")
+        random.seed(seed)
+        np.random.seed(seed)
+        if self._torch is not None:
+            self._torch.random.default_generator.manual_seed(seed)
+        self._before = self._states()
+
+    def _states(self) -> Dict[str, Any]:
+        state: Any = self._numpy.get_state()
+        states = {"random": random.getstate(), "numpy.random": (bytes(state[1]), state[2])}
+        if self._torch is not None:
+            states["torch"] = self._torch.random.get_rng_state().numpy().tobytes()
+        return states
+
+    def changed(self) -> List[str]:
+        return [name for name, state in self._states().items() if self._before.get(name) != state]
+
+
+# -- what is known of this side -----------------------------------------------------------------
+
+
+def facts(device: str) -> Dict[str, Any]:
+    """Interpreter, versions and threads, as far as they are known now."""
+    versions: Dict[str, str] = {}
+    for name in ("numpy", "torch"):
+        if name in sys.modules:
+            versions[name] = str(getattr(sys.modules[name], "__version__", "unknown"))
+    threads = {}
+    torch: Any = sys.modules.get("torch")
+    if torch is not None:
+        threads["torch"] = int(torch.get_num_threads())
+        if device.startswith("cuda"):
+            device = str(torch.cuda.get_device_name(device))
+            versions["cuda"] = str(torch.version.cuda)
+    waits = os.path.exists("/proc/thread-self/schedstat")
+    return {
+        "clock": "wall clock without waiting for a core" if waits else "wall clock",
+        "device": device,
+        "threads": threads,
+        "versions": versions,
+    }
+
+
+def memory(device: str, anew: bool) -> Dict[str, Any]:
+    """The peak of what this process and torch hold, ``anew`` from here on."""
+    torch: Any = sys.modules.get("torch") if device.startswith("cuda") else None
+    host = on_device = None
+    if torch is not None:
+        on_device = int(torch.cuda.max_memory_allocated(device))
+    try:
+        with open("/proc/self/status") as status:
+            peak = [line.split()[1] for line in status if line.startswith("VmHWM:")]
+        host = int(peak[0]) * 1024
+        if anew:
+            with open("/proc/self/clear_refs", "w") as file:
+                file.write("5")
+    except (OSError, IndexError):
+        pass
+    if anew and torch is not None:
+        torch.cuda.reset_peak_memory_stats(device)
+    return {"host_bytes": host, "device_bytes": on_device}
+
+
+def sources(path: List[str]) -> Dict[str, Any]:
+    """A digest of each file below the folders where modules are looked for, of modules from
+    elsewhere, and the distributions. ``unknown``: why that is not all; else empty."""
+    folders = [folder for folder in sys.path if folder and not _is_standard(folder)]
+    unknown = "" if path else "no path says in which folders its sources are"
+    files: Dict[str, str] = {}
+    total = 0
+    for folder in folders:
+        base = os.path.basename(os.path.abspath(folder)) or folder
+        while any(name.startswith(base + "/") for name in files):
+            base += "'"
+        for file in _below(folder) if os.path.isdir(folder) else [folder]:
+            if len(files) >= _MOST_FILES:
+                unknown = f"{folder} has more than {_MOST_FILES} files"
+                break
+            size, digest = _digest(file, total < _ALL)
+            total += size
+            files[base + "/" + os.path.relpath(file, folder).replace(os.sep, "/")] = digest
+        if unknown:
+            break
+    for name, module in sorted(sys.modules.items()):
+        file = getattr(module, "__file__", None) or ""
+        known = any(_is_below(file, folder) for folder in folders) or _is_standard(file)
+        if name not in ("__main__", "cpas_worker") and os.path.isfile(file) and not known:
+            files[name] = _digest(file, True)[1]
+    return {"files": files, "distributions": _distributions(), "unknown": unknown}
+
+
+def _is_standard(place: str) -> bool:
+    """Whether it is Python's, or of distributions, which versions tell of."""
+    if re.search(r"[/\\](site|dist)-packages([/\\]|$)|[/\\]python\d+\.zip$", place):
+        return True
+    return any(_is_below(place, sysconfig.get_path(n)) for n in ("stdlib", "platstdlib"))
+
+
+def _is_below(place: str, folder: Optional[str]) -> bool:
+    place, folder = os.path.realpath(place), os.path.realpath(folder or ".")
+    return place == folder or place.startswith(folder.rstrip(os.sep) + os.sep)
+
+
+def _below(folder: str) -> Iterator[str]:
+    for at, folders, names in os.walk(folder, followlinks=False):
+        folders[:] = sorted(n for n in folders if n not in (".git", "__pycache__"))
+        for name in sorted(names):
+            if not name.endswith(".pyc"):
+                yield os.path.join(at, name)
+
+
+def _digest(file: str, whole: bool) -> Tuple[int, str]:
+    """Bytes that were read of a file, and their digest: all, or of a large one both ends."""
+    try:
+        if not os.path.isfile(file):
+            return 0, "no file"
+        size = os.path.getsize(file)
+        digest = hashlib.sha256(str(size).encode("ascii"))
+        with open(file, "rb") as opened:
+            if whole and size <= _WHOLE:
+                digest.update(opened.read())
+                return size, digest.hexdigest()[:16]
+            digest.update(opened.read(2**16))
+            opened.seek(max(size - 2**16, 0))
+            digest.update(opened.read(2**16))
+        return 2**17, digest.hexdigest()[:16] + " in part"
+    except OSError as error:
+        return 0, f"unread: {error.strerror}"
+
+
+def _distributions() -> List[str]:
+    """Name and version of each one that is installed."""
+    found = set()
+    for folder in sys.path:
+        with contextlib.suppress(OSError):
+            for name in os.listdir(folder or "."):
+                match = re.match(r"([^-]+)-([^-]+).*\.(dist|egg)-info$", name)
+                if match:
+                    found.add(f"{match.group(1).lower()} {match.group(2)}")
+    return sorted(found)
+
+
+def _machine() -> str:
+    """What tells a machine from others, also seen from a container on it."""
+    try:
+        with open("/proc/sys/kernel/random/boot_id") as file:
+            return file.read().strip()
+    except OSError:
+        return platform.node()
+
+
+# -- the processes ------------------------------------------------------------------------------
+
+
+def serve(token: str, requests: int, answers: int) -> None:
+    """Answer requests until there are none."""
+    line, served = Line(token, requests, answers), Served()
+    line.send(
+        {
+            "protocol": PROTOCOL,
+            "python": platform.python_version(),
+            "implementation": platform.python_implementation(),
+            "machine": _machine(),
+            "pid": os.getpid(),
+        }
+    )
+    while True:
+        received = line.receive()
+        if received is None:
+            return
+        made: List[Any] = []
+        try:
+            answer, made = served.answer(*received)
+        except BaseException as error:  # sys.exit() is no way out either
+            answer = _told(error)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        line.send(answer, made)
+
+
+def _told(error: BaseException) -> Dict[str, Any]:
+    """What was raised, as the harness shows it: without the frames that led to the method."""
+    kind, frames = type(error), error.__traceback__
+    while frames is not None and frames.tb_frame.f_globals.get("__name__") == __name__:
+        frames = frames.tb_next
+    text = "".join(traceback.format_exception(kind, error, frames or error.__traceback__))
+    contract = any(base.__name__ == "ContractError" for base in kind.__mro__)
+    try:
+        message = str(error)
+    except Exception:
+        message = "its message cannot be told"
+    return {
+        "raised": kind.__name__,
+        "message": message[:4000],
+        "traceback": text[-_TRACEBACK:],
+        "contract": contract or kind is AnswerError,
+    }
+
+
+def main(token: str) -> None:
+    """Take the standard streams over, and serve in a process that this one watches."""
+    requests, answers = os.dup(0), os.dup(1)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    os.dup2(2, 1)
+    with contextlib.suppress(Exception):
+        import fcntl
+
+        for each in (requests, answers):
+            with contextlib.suppress(OSError):
+                fcntl.fcntl(each, _SET_PIPE_SIZE, _PIPE_SIZE)
+    if hasattr(os, "fork"):
+        _set_process_option(36, 1)  # orphans of the method become children of this process
+        wake, woken = os.pipe()
+        for each in (wake, woken):
+            os.set_blocking(each, False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.set_wakeup_fd(woken)
+        child = os.fork()
+        if child:
+            os.close(answers)
+            _watch(token, child, requests, wake)
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        os.close(wake)
+        os.close(woken)
+        os.setsid()
+        _set_process_option(1, signal.SIGKILL)  # should the other one be killed
+        _forget_in_copies(requests, answers)
+    with contextlib.suppress(Exception):
+        import faulthandler
+
+        faulthandler.enable()
+        faulthandler.register(signal.SIGUSR1)
+    serve(token, requests, answers)
+
+
+def _forget_in_copies(*descriptors: int) -> None:
+    """A copy of this process does not hold the line open."""
+
+    def forget() -> None:
+        for each in descriptors:
+            with contextlib.suppress(OSError):
+                os.close(each)
+
+    if hasattr(os, "register_at_fork"):  # 3.7
+        os.register_at_fork(after_in_child=forget)
+
+
+def _set_process_option(number: int, value: int) -> None:
+    """``prctl``, where there is one."""
+    if sys.platform.startswith("linux"):
+        with contextlib.suppress(Exception):
+            import ctypes
+
+            ctypes.CDLL(None).prctl(number, value, 0, 0, 0)
+
+
+def _watch(token: str, child: int, requests: int, wake: int) -> None:
+    """Wait for the process of the method, or for the end of the line; then end all that is left."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    poller = select.poll()
+    poller.register(requests, getattr(select, "POLLRDHUP", 0))
+    poller.register(wake, select.POLLIN)
+    status = None
+    cut: Optional[float] = None
+    while status is None and (cut is None or time.monotonic() < cut):
+        events = poller.poll(None if cut is None else 50)
+        if any(number == requests for number, _ in events):
+            poller.unregister(requests)
+            cut = time.monotonic() + _GRACE
+        with contextlib.suppress(OSError):
+            os.read(wake, 100)
+        status = _reaped(child)
+    if status is None and hasattr(signal, "SIGUSR1"):
+        with contextlib.suppress(OSError):  # it says where it is
+            os.kill(child, signal.SIGUSR1)
+            time.sleep(0.1)
+    for end in (os.killpg, os.kill):
+        with contextlib.suppress(OSError):
+            end(child, signal.SIGKILL)
+    _end_orphans()
+    if cut is None and status is not None:
+        number = os.WTERMSIG(status)
+        told = f"signal {number}" if number else f"status {os.WEXITSTATUS(status)}"
+        with contextlib.suppress(OSError):
+            os.write(2, (f"\n{token} {told}\n").encode("ascii"))
+    os._exit(0)
+
+
+def _reaped(child: int) -> Optional[int]:
+    """Take in all children that have ended; the status of ``child`` if it is one of them."""
+    found = None
+    while True:
+        try:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+        except OSError as error:
+            return found if error.errno == errno.ECHILD else None
+        if pid == 0:
+            return found
+        found = status if pid == child else found
+
+
+def _parent_of(pid: int) -> Optional[int]:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return int(file.read().rpartition(")")[2].split()[1])
+    except OSError:
+        return None
+
+
+def _end_orphans() -> None:
+    """End what the method has started and left behind, where the system says whose it is."""
+    for _ in range(20):
+        pids = os.listdir("/proc") if os.path.isdir("/proc/self") else []
+        left = [int(p) for p in pids if p.isdigit() and _parent_of(int(p)) == os.getpid()]
+        for pid in left:
+            with contextlib.suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+        _reaped(-1)
+        if not left:
+            return
+        time.sleep(0.01)
+
+
+if __name__ == "__main__":
+    sys.modules["cpas_worker"] = sys.modules["__main__"]
+    main(sys.argv[1])
