@@ -80,10 +80,13 @@ def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginMa
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
-    """Refuse a run whose root directory an option of ours has moved."""
+    """Refuse a run whose root directory an option of ours has moved; no conftest.py has been
+    loaded yet."""
+    from pytest_cpas.session.own_settings import note_others
     from pytest_cpas.session.rootdir import check_rootdir
 
     check_rootdir(early_config)
+    note_others(early_config)
 
 
 def pytest_cmdline_main(config: pytest.Config) -> int | None:

@@ -13,6 +13,7 @@ from pytest_cpas.evaluation.estimates import (
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.merging import MergedRun, merge
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
+from pytest_cpas.evaluation.opened import digest_of_opened, opened_name
 from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.evaluation.program import found_programs, take_programs
 from pytest_cpas.evaluation.results import (
@@ -26,7 +27,12 @@ from pytest_cpas.evaluation.results_file import ResultsFile
 from pytest_cpas.evaluation.rows import Answer, Answered, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection, kernels
 from pytest_cpas.evaluation.saving import SavedAnswers
-from pytest_cpas.evaluation.surroundings import is_installed, leave_out, named
+from pytest_cpas.evaluation.surroundings import (
+    is_installed,
+    is_left_out,
+    leave_out,
+    named,
+)
 from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
 __all__ = [
@@ -56,15 +62,18 @@ __all__ = [
     "decode_estimates",
     "decode_hypothesis",
     "decode_shape",
+    "digest_of_opened",
     "encode_estimate",
     "encode_shape",
     "found_programs",
     "is_installed",
+    "is_left_out",
     "kernels",
     "leave_out",
     "measure",
     "merge",
     "named",
+    "opened_name",
     "parse_seconds",
     "read_results",
     "take_programs",

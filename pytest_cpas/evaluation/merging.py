@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
+from pytest_cpas.evaluation.opened import differences as opened_differences
 from pytest_cpas.evaluation.results import (
     Results,
     ResultsError,
@@ -116,12 +117,15 @@ def merge(
 def _check_shards(parts: Sequence[Results], allow_gaps: bool, any_program: bool) -> None:
     first = parts[0]
     seen: dict[str, Path] = {}
+    opened: dict[str, str] = {}
     shards: dict[int, Path] = {}
     for part in parts:
         shard, count = Shard.parse(part.header.shard), Shard.parse(first.header.shard).count
         same = replace(part.header, shard=first.header.shard, selected=first.header.selected)
         differences = header_differences(first.header, same)
         programs = [] if any_program else program_differences(first.header, same)
+        programs += [] if any_program else opened_differences(opened, part.opened)
+        opened |= part.opened
         if shard.count != count:
             differences.append(f"shards are {count}, now {shard.count}")
         if differences:

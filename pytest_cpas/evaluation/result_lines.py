@@ -56,6 +56,7 @@ _OTHER_LINES = (
     {"error", "ref"},
     {"contract"},
     {"changed"},
+    {"opened"},
     {"program", "files"},
 )
 

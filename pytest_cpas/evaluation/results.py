@@ -3,7 +3,8 @@
 A results file is append-only text, one JSON value per line, each line preceded by a checksum of
 itself and of all lines before it. The first line says what run the file belongs to, every other one
 holds a row, what went wrong with a sample, what a check of the contract found, by which other
-program the rows that follow were computed, or what has changed of a program while it ran. A last
+program the rows that follow were computed, which files it has read, or what has changed of it while
+it ran. A last
 line that was cut off when the writer was killed is dropped; any other damage, and a line that was
 written by another run, is an error.
 """
@@ -38,10 +39,13 @@ __all__ = [
     "together",
 ]
 
-FORMAT = 8
+FORMAT = 9
 
 #: Largest file, bytes: a million rows have two thirds of it.
 LARGEST = 2**29
+
+#: Names of files that the programs of one file may have read.
+_MOST_OPENED = 100_000
 
 #: Characters of a checksum.
 _CHECKSUM = 16
@@ -132,7 +136,8 @@ class Results:
 
     ``refs`` has both kinds of samples; ``contract`` what each check of the contract found. The
     provenance of the ``header`` names every program that computed rows; ``changed``: what has
-    changed of one while it did, so that nobody knows which rows are whose. ``size``: bytes up to
+    changed of one while it did, so that nobody knows which rows are whose; ``opened``: a digest of
+    each file that was seen when one opened it. ``size``: bytes up to
     the end of the last whole line, whose checksum is ``last``.
     """
 
@@ -143,6 +148,7 @@ class Results:
     errors: Mapping[str, str]
     contract: Mapping[str, Mapping[str, Any]]
     changed: Sequence[str]
+    opened: Mapping[str, str]
     size: int
     last: bytes
 
@@ -173,6 +179,7 @@ def parse_results(path: Path, content: bytes) -> Results:
     errors: dict[str, str] = {}
     contract: dict[str, Mapping[str, Any]] = {}
     changed: list[str] = []
+    opened: dict[str, str] = {}
     size, last = 0, b""
     for number, line in enumerate(_whole_lines(content), 1):
         seen, _, text = line.partition(b" ")
@@ -192,7 +199,12 @@ def parse_results(path: Path, content: bytes) -> Results:
                 contract[found["check"]] = found
             elif "changed" in value:
                 changed += result_lines.several_texts("changed", value["changed"])
-                header = replace(header, provenance=together(header.provenance, {"code": CHANGING}))
+            elif "opened" in value:
+                files = result_lines.texts("opened", value["opened"])
+                changed += [name for name in files if opened.get(name, files[name]) != files[name]]
+                opened |= files
+                if len(opened) > _MOST_OPENED:
+                    raise ValueError(f"more than {_MOST_OPENED} files were opened")
             elif "program" in value:
                 program = result_lines.texts("program", value["program"])
                 files = result_lines.texts("files", value["files"])
@@ -227,6 +239,8 @@ def parse_results(path: Path, content: bytes) -> Results:
     if header is None:
         raise ResultsError(f"{path}: does not begin with the header of a results file")
     _check_counts(path, header, refs.values())
+    if changed:
+        header = replace(header, provenance=together(header.provenance, {"code": CHANGING}))
     return Results(
         path=path,
         header=header,
@@ -235,6 +249,7 @@ def parse_results(path: Path, content: bytes) -> Results:
         errors=errors,
         contract=contract,
         changed=changed,
+        opened=opened,
         size=size,
         last=last,
     )

@@ -7,12 +7,13 @@ import io
 import itertools
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from pytest_cpas._files import LinkError, check_no_link
+from pytest_cpas.evaluation.opened import differences, digest_of_opened
 from pytest_cpas.evaluation.program import UNKNOWN
 from pytest_cpas.evaluation.results import (
     FORMAT,
@@ -51,20 +52,30 @@ class ResultsFile:
     is the same program that would compute them.
     """
 
-    def __init__(self, folder: Path, run: Run, shard: Shard, *, reuse_any: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        run: Run,
+        shard: Shard,
+        *,
+        reuse_any: bool = False,
+        opened: Callable[[], Collection[tuple[str, str]]] = tuple,
+    ) -> None:
         """Read what is there. Raises :class:`ResultsError` if it is damaged or another run's.
 
-        ``reuse_any``: rows of another program serve as well.
+        ``reuse_any``: rows of another program serve as well; ``opened``: names and digests of the
+        files that the program has opened up to now.
         """
         self.path = folder / f"{shard.stem_of(run)}.jsonl"
         self.header = Header.of(run, shard)
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
         self._changed_meanwhile, self._told = run.changed_meanwhile, set[str]()
+        self._opened, self._told_opened = opened, set[tuple[str, str]]()
         self.rows: Mapping[str, Row] = {}
         #: The rows of an older file that are another program's.
         self.set_aside: SetAside | None = None
         self._contract: Mapping[str, Mapping[str, Any]] = {}
-        self._size, self._last = 0, b""
+        self._size, self._last, self._read_last = 0, b"", b""
         #: Whether ``rows`` are another program's, and are reused on purpose.
         self.another_program = False
         self._file: io.RawIOBase | None = None
@@ -81,9 +92,9 @@ class ResultsFile:
         if is_torn_header(content):
             return
         there = parse_results(self.path, content)
-        if differences := header_differences(there.header, self.header):
+        if others := header_differences(there.header, self.header):
             raise ResultsError(
-                f"{self.path} holds another run: {'; '.join(differences)}. Remove it, or name"
+                f"{self.path} holds another run: {'; '.join(others)}. Remove it, or name"
                 " another folder"
             )
         if strangers := sorted(there.refs.keys() - self._refs.keys()):
@@ -94,6 +105,8 @@ class ResultsFile:
         programs = program_differences(there.header, self.header)
         if there.changed:
             programs = [f"changed while it ran: {named(there.changed)}"]
+        elif not programs:
+            programs = differences(there.opened, {n: digest_of_opened(n) for n in there.opened})
         programs += [
             f"the {whose} sources are in no file, so they may have changed"
             for key, whose in (("code", "method's"), ("data_code", "data set's"))
@@ -105,6 +118,8 @@ class ResultsFile:
         self.another_program = bool(programs)
         self.rows, self._contract = there.rows, there.contract
         self._size, self._last = there.size, there.last
+        self._read_last = there.last
+        self._told_opened |= there.opened.items()
 
     def check_free(self) -> None:
         """Raise :class:`ResultsError` if another run is writing the file, or nobody may."""
@@ -186,7 +201,19 @@ class ResultsFile:
         if self._contract.get(result["check"]) != result:
             self._write({"contract": result})
 
+    @property
+    def choice(self) -> bytes:
+        """What no one knows before the file is read, and every process of a run that reads it."""
+        return self._read_last
+
     def _tell_changes(self, *, thoroughly: bool = False) -> None:
+        opened = {*self._opened()} - self._told_opened
+        # one digest of each in a line: a file that has two was written while the program ran
+        while opened and self._last:
+            line = dict(sorted(opened))
+            self._write({"opened": line})
+            self._told_opened |= line.items()
+            opened -= line.items()
         changed = self._changed_meanwhile(thoroughly=thoroughly).keys() - self._told
         if changed and self._last:
             self._write({"changed": sorted(changed)})

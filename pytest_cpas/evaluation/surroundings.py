@@ -34,6 +34,7 @@ __all__ = [
     "digests_of",
     "files_around",
     "is_installed",
+    "is_left_out",
     "leave_out",
     "may_grow",
     "named",
@@ -88,6 +89,11 @@ def leave_out(folders: Iterable[Path]) -> None:
     for folder in folders:
         with suppress(OSError, RuntimeError):
             _left_out.add(folder.resolve())
+
+
+def is_left_out(path: Path) -> bool:
+    """Whether a file is in one of the folders that :func:`leave_out` was told of."""
+    return not _left_out.isdisjoint(path.resolve().parents)
 
 
 def is_installed(path: Path) -> bool:

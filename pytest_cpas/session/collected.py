@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import hashlib
+import itertools
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,8 +16,8 @@ from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run, named
 
 __all__ = ["CollectedRun", "ItemResult"]
 
-#: Reused rows that are judged again at most, one of a category.
-_AGAIN = 12
+#: Reused rows that are judged again: of each category so many, and at most so many in all.
+_AGAIN_OF_EACH, _AGAIN = 2, 24
 
 
 @dataclass
@@ -51,6 +53,10 @@ def _row(values: dict[str, Any]) -> Row:
     return Row.of({**values, **shared})
 
 
+def _drawn(choice: bytes, sample: str) -> bytes:
+    return hashlib.sha256(choice + sample.encode(errors="surrogateescape")).digest()
+
+
 class CollectedRun:
     """All that has come back of one run; while it is open (``with``), also on disk if asked for."""
 
@@ -74,16 +80,22 @@ class CollectedRun:
 
     @functools.cached_property
     def judged_again(self) -> Mapping[str, Row]:
-        """Of a deterministic method the reused row of the first sample of each category, to be
-        compared with what the program answers now: what it depends on is never known in full."""
+        """Of a deterministic method reused rows of two samples of each category, to be compared
+        with what the program answers now: what it depends on is never known in full.
+
+        Which samples follows from what the file holds, so it is the same in all processes, and
+        another choice whenever rows have come to it.
+        """
         info, file = self.run.info, self._file
         if info is None or not info.deterministic or file is None or file.another_program:
             return {}
-        first: dict[str, Row] = {}
-        for ref in self.run.samples:
-            if ref.id in file.rows:
-                first.setdefault(ref.category, file.rows[ref.id])
-        return {row.sample: row for row in [*first.values()][:_AGAIN]}
+        drawn: dict[str, list[str]] = {}
+        for sample in sorted(file.rows, key=functools.partial(_drawn, file.choice)):
+            drawn.setdefault(file.rows[sample].category, []).append(sample)
+        # first one of each category, however many there are
+        rounds = itertools.zip_longest(*(some[:_AGAIN_OF_EACH] for some in drawn.values()))
+        again = [sample for some in rounds for sample in some if sample is not None]
+        return {sample: file.rows[sample] for sample in again[:_AGAIN]}
 
     def contradiction(self, row: Row, kept: Row) -> str:
         """What to say where a reused row is not what the program answers now; empty if it is."""

@@ -26,6 +26,7 @@ import pytest
 
 from pytest_cpas.session.beginning import note
 from pytest_cpas.session.holding import hold
+from pytest_cpas.session.opened_files import listen
 from pytest_cpas.session.run_record import Record
 from pytest_cpas.session.seen_items import SeenItems, below
 
@@ -76,6 +77,8 @@ def guard(config: pytest.Config, parser: pytest.Parser) -> None:
     except (ValueError, AttributeError, pytest.UsageError):
         return  # pytest has no configuration yet, or says itself what is wrong with the arguments
     if asked(options):
+        if options.cpas_results:
+            listen()
         record = Record()
         if _may_fork():
             hold(record)

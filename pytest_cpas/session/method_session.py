@@ -43,7 +43,9 @@ from pytest_cpas.session.beginning import began
 from pytest_cpas.session.collected import CollectedRun, ItemResult
 from pytest_cpas.session.contract_stage import contract_stages
 from pytest_cpas.session.judging import JudgedRun, judge, record_run
+from pytest_cpas.session.opened_files import opened_files
 from pytest_cpas.session.options import RunOptions
+from pytest_cpas.session.own_settings import own_settings
 from pytest_cpas.session.protocol_names import resolve_protocols
 from pytest_cpas.session.reporting import Reporter
 from pytest_cpas.session.resolution import open_results, read_others, resolve_runs
@@ -136,8 +138,10 @@ class CpasSession(SuiteSession):
             for run in runs:
                 if isinstance(run, MethodRun):
                     run.provenance = {**run.provenance, **_digests(plugins)}
+                    run.files = {**run.files, **own_settings(config)}
                     run.began(began(config), watched)
-            files = open_results(options, runs, writes=self.is_controller)
+            self._opened = opened_files()
+            files = open_results(options, runs, writes=self.is_controller, opened=self._opened.told)
             worker = getattr(config, "workerinput", {}).get("workerid", "")
             self.saved = open_saved(options, runs, files, worker)
             self.stages = contract_stages(runs)
@@ -247,15 +251,18 @@ class CpasSession(SuiteSession):
         return any(named) or any("::" in argument for argument in self.config.args)
 
     def item_content(self, item: pytest.Item) -> Any:
-        """The run's index and what the item found; None for items that judge no sample."""
+        """The run's index, what the item found, and which files were opened; None for items that
+        judge no sample."""
         if ITEM_RESULT not in item.stash:
             return None
         run = item.callspec.params["run"]  # type: ignore[attr-defined]
-        return self.runs.index(run), item.stash[ITEM_RESULT].plain()
+        opened = [] if self.is_controller else self._opened.news()
+        return self.runs.index(run), item.stash[ITEM_RESULT].plain(), opened
 
     def collect(self, content: Any) -> None:
         """Collect what an item found."""
-        index, values = content
+        index, values, opened = content
+        self._opened.take((name, digest) for name, digest in opened)
         collected, result = self.collected[self.runs[index]], ItemResult.of(values)
         if self._progress:
             self._progress.add(collected.run, result.rows, len(result.errors))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -181,18 +181,29 @@ def _made(name: str, factory: Callable[[], Method]) -> Method:
 
 
 def open_results(
-    options: RunOptions, runs: Sequence[Run], *, writes: bool
+    options: RunOptions,
+    runs: Sequence[Run],
+    *,
+    writes: bool,
+    opened: Callable[[], Collection[tuple[str, str]]],
 ) -> dict[Run, ResultsFile]:
     """The results file of each run, with the rows that it holds already; none without a folder.
 
-    ``writes``: this process is the one that will. Raises
+    ``writes``: this process is the one that will; ``opened``: names and digests of the files that
+    code has read up to now. Raises
     :class:`pytest_cpas.evaluation.ResultsError` for one that is damaged, another run's, or being
     written.
     """
     if options.results is None:
         return {}
     files = {
-        run: ResultsFile(options.results, run, options.shard, reuse_any=options.reuse_any)
+        run: ResultsFile(
+            options.results,
+            run,
+            options.shard,
+            reuse_any=options.reuse_any,
+            opened=opened if isinstance(run, MethodRun) else tuple,
+        )
         for run in runs
     }
     if writes:

@@ -530,7 +530,7 @@ def results() -> list[bytes]:
     return [made]
 
 
-FORMAT = 8
+FORMAT = 9
 
 
 def merged(path: Path) -> None:

@@ -1,8 +1,16 @@
-"""Of reused rows one of each category is judged again: what a program depends on is never known in
-full."""
+"""Of reused rows two of each category are judged again: what a program depends on is never known
+in full."""
+
+from collections import Counter
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
+import tiny
 from harness import RUN
+
+from pytest_cpas.evaluation import MethodRun, ResultsFile, Shard
+from pytest_cpas.session.collected import CollectedRun
 
 RESULTS = "--cpas-results=kept"
 
@@ -54,12 +62,13 @@ def test_what_is_not_seen_is_found(depends, aside, how):
     assert depends()[0].ret == 0
     result, asked = depends(*how)
     assert result.ret == 0
-    assert sorted(asked) == ["0", "1"], "the first of each of two categories"
+    assert len({*asked}) == 4, "two of each of two categories"
+    assert sum(int(index) % 2 for index in asked) == 2
     result, _ = depends(*how, aside=aside)
     assert result.ret == 1
     told = "failure was None, now gone" if aside == "1" else "position_m was *, now 0.08*"
     result.stdout.fnmatch_lines(
-        [f"*scene_0/0000: its row is reused from *is not what the method answers now*({told})*"]
+        [f"*scene_?/00??: its row is reused from *is not what the method answers now*({told})*"]
     )
     assert "Name another folder" in result.stdout.str()
     # of what another program answered there is no verdict
@@ -106,3 +115,49 @@ def test_what_may_differ_is_not_judged_again(depends, pytester, method, args):
     result, asked = depends(*args, method=method, aside="0.05")
     assert result.ret == 0
     assert asked == []
+
+
+@pytest.fixture
+def drawn():
+    """Which samples of a run are judged again, all of whose rows are reused."""
+    dataset = tiny.Tiny(None)
+    row = MethodRun(tiny.Perfect(), dataset).judge(dataset.samples[0])
+
+    def draw(choice, refs=dataset.samples):
+        dataset.samples = refs
+        rows = {ref.id: replace(row, sample=ref.id, category=ref.category) for ref in refs}
+        file = SimpleNamespace(rows=rows, choice=choice, another_program=False)
+        return CollectedRun(MethodRun(tiny.Perfect(), dataset), file).judged_again
+
+    return draw
+
+
+def test_which_ones_nobody_knows_before_the_file_is_read(drawn):
+    """Every sample is among them some time, and it is the same ones in all processes."""
+    seen = Counter()
+    for index in range(100):
+        again = drawn(b"%d" % index)
+        assert Counter(row.category for row in again.values()) == {"bowl": 2, "mug": 2}
+        assert again.keys() == drawn(b"%d" % index).keys()
+        seen.update(again.keys())
+    # each is drawn a third of the time; 5 standard deviations are 24
+    assert len(seen) == 12
+    assert all(10 < count < 57 for count in seen.values())
+
+
+def test_the_choice_is_that_of_the_file(tmp_path):
+    run = MethodRun(tiny.Perfect(), tiny.Tiny(None))
+    with ResultsFile(tmp_path, run, Shard(1, 1)) as file:
+        file.add(run.judge(run.samples[0]))
+        before = ResultsFile(tmp_path, run, Shard(1, 1)).choice
+        file.add(run.judge(run.samples[1]))
+    after = [ResultsFile(tmp_path, run, Shard(1, 1)).choice for _ in range(2)]
+    assert len({before, *after}) == 2
+
+
+def test_they_are_few_however_many_categories_there_are(drawn):
+    [first, *_] = tiny.Tiny(None).samples
+    refs = [replace(first, id=f"s/{index}", category=f"c{index % 20}") for index in range(60)]
+    counts = Counter(row.category for row in drawn(b"", refs).values())
+    assert len(counts) == 20
+    assert counts.total() == 24

@@ -1,0 +1,173 @@
+"""Files that a method opens, or a plugin beside it: what no text names is seen when it is read.
+
+Python tells of every file that its code opens (an audit event, PEP 578). Those that are read by
+other code than the harness belong to the program that answers. What compiled code opens by itself,
+and other processes, is not told.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import stat
+import sys
+import sysconfig
+import tempfile
+import time
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+
+__all__ = ["OpenedFiles", "listen", "opened_files"]
+
+#: Modules that read for the harness or for pytest, unless other code asks them to.
+_OURS = frozenset(
+    {
+        *("__main__", "_pytest", "pytest", "pluggy", "iniconfig", "xdist", "execnet", "syrupy"),
+        *("pytest_cpas", "hypothesis", "numpy", "scipy", "numba", "llvmlite", "PIL", "trimesh"),
+        *("open3d", "torch", "platformdirs", "requests", "h5py", "coverage", "pytest_cov"),
+    }
+)
+
+_WRITES = os.O_WRONLY | os.O_RDWR
+
+#: Files that are remembered: a method with more has them in a folder of data.
+_MOST = 2000
+
+_NO_FILES = ("/proc/", "/sys/", "/dev/")
+
+_Stamp = tuple[int, ...]
+
+
+class OpenedFiles:
+    """What is read of files from now on, in this process, by code that is not the harness's.
+
+    A file that this process has written, or that was made in the folder of temporary files since,
+    is its own output.
+    """
+
+    def __init__(self) -> None:
+        self._began = time.time_ns()
+        self._read: dict[str, _Stamp] = {}
+        self._written: set[str] = set()
+        self._settled: dict[str, _Stamp] = {}
+        self._told: set[tuple[str, str]] = set()
+        self._handed_on: set[tuple[str, str]] = set()
+        self._temporary = os.path.realpath(tempfile.gettempdir()) + os.sep
+        places = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib")}
+        package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+        self._elsewhere = (*_NO_FILES, *(place + os.sep for place in [*places, package]))
+
+    def heard(self, name: Any, flags: int, frame: FrameType) -> None:
+        """A file is opened by the code of a frame."""
+        if isinstance(name, int):
+            return
+        path = os.path.abspath(os.fsdecode(name))
+        if path.startswith(self._elsewhere):
+            return
+        if flags & _WRITES:
+            self._written.add(path)
+        elif path not in self._written and _is_asked_by_others(frame):
+            path = _source_of(path)
+            found = _stamp(path)
+            if found is not None and self._settled.get(path) != found:
+                # what was read first counts, until it is settled
+                self._read.setdefault(path, found)
+
+    def take(self, told: Iterable[tuple[str, str]]) -> None:
+        """Take in what was heard in another process of the same run."""
+        self._told |= {*told}
+
+    def news(self) -> list[tuple[str, str]]:
+        """What :meth:`told` tells, but for what this has told already."""
+        new = {*self.told()} - self._handed_on
+        self._handed_on |= new
+        return sorted(new)
+
+    def told(self) -> Collection[tuple[str, str]]:
+        """Names and digests of the files that were read up to now. One that was read twice, and
+        written by somebody in between, has two digests."""
+        from pytest_cpas.evaluation import digest_of_opened, is_installed, is_left_out, opened_name
+
+        while self._read:
+            path, before = self._read.popitem()
+            if (
+                len(self._settled) >= _MOST
+                or path in self._written
+                or is_installed(Path(path))
+                or is_left_out(Path(path))
+                or (before[-1] >= self._began and path.startswith(self._temporary))
+            ):
+                continue
+            self._settled[path] = before
+            name = opened_name(Path(path))
+            digest = digest_of_opened(name)
+            self._told.add((name, digest if _stamp(path) == before else f"{digest} at last"))
+        return self._told
+
+
+def _is_asked_by_others(frame: FrameType | None) -> bool:
+    return any(
+        name not in _OURS and name not in sys.stdlib_module_names for name in _modules(frame)
+    )
+
+
+def _modules(frame: FrameType | None) -> Iterator[str]:
+    """The outermost package of each function that is being called, innermost first."""
+    # whoever has called pytest is not the code that is judged
+    while frame is not None and frame.f_code is not pytest.main.__code__:
+        yield str(frame.f_globals.get("__name__", "?")).partition(".")[0]
+        frame = frame.f_back
+
+
+def _source_of(path: str) -> str:
+    """Of what Python has compiled: the source, if that is there."""
+    if not path.endswith(".pyc"):
+        return path
+    try:
+        source = importlib.util.source_from_cache(path)
+    except ValueError:
+        return path
+    return source if os.path.isfile(source) else path
+
+
+def _stamp(path: str) -> _Stamp | None:
+    """What changes when a file is written; None for what is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    if not stat.S_ISREG(found.st_mode):
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+#: Of the run in this process; the only one that hears, since no hook of this kind can be removed.
+_opened: OpenedFiles | None = None
+_hears = False
+
+
+def listen() -> None:
+    """Begin to listen for a run."""
+    global _opened, _hears
+    _opened = OpenedFiles()
+    if not _hears:
+        sys.addaudithook(_heard)
+        _hears = True
+
+
+def _heard(event: str, arguments: tuple[Any, ...]) -> None:
+    """An audit event; raises nothing, since that would reach whoever opens the file."""
+    if event == "open" and _opened is not None:
+        try:
+            _opened.heard(arguments[0], arguments[2], sys._getframe(1))
+        except (TypeError, ValueError, OSError):  # no name, as opening it will find
+            return
+
+
+def opened_files() -> OpenedFiles:
+    """What has been heard in this process; nothing unless somebody listens."""
+    return _opened or OpenedFiles()
