@@ -1,8 +1,8 @@
 """Files that a method opens, or a plugin beside it: what no text names is seen when it is read.
 
-Python tells of every file that its code opens (an audit event, PEP 578). Those that are read by
-other code than the harness belong to the program that answers. What compiled code opens by itself,
-and other processes, is not told.
+Python tells of every file that its code opens, of every library that it loads and of every process
+that it starts (audit events, PEP 578). What is read by other code than the harness belongs to the
+program that answers. What compiled code opens by itself, and other processes, is not told.
 """
 
 from __future__ import annotations
@@ -37,9 +37,15 @@ _WRITES = os.O_WRONLY | os.O_RDWR
 #: Files that are remembered: a method with more has them in a folder of data.
 _MOST = 2000
 
+#: What is listened to, and which of its arguments names a file.
+_EVENTS = {"open": 0, "subprocess.Popen": 1, "import": 1, "ctypes.dlopen": 0}
+
 _NO_FILES = ("/proc/", "/sys/", "/dev/")
 
 _Stamp = tuple[int, ...]
+
+#: Of a file that is not there.
+_GONE: _Stamp = (0, 0, 0, 0, 0)
 
 
 class OpenedFiles:
@@ -61,8 +67,14 @@ class OpenedFiles:
         package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
         self._elsewhere = (*_NO_FILES, *(place + os.sep for place in [*places, package]))
 
-    def heard(self, name: Any, flags: int, frame: FrameType) -> None:
-        """A file is opened by the code of a frame."""
+    def started(self, name: Any, frame: FrameType) -> None:
+        """The code of a frame hands a word to another process, or to the loader of libraries; it
+        may name a file."""
+        if isinstance(name, (str, bytes, os.PathLike)) and os.path.isfile(name):
+            self.opened(name, os.O_RDONLY, frame)
+
+    def opened(self, name: Any, flags: int, frame: FrameType) -> None:
+        """The code of a frame opens a file, or tries to."""
         if isinstance(name, int):
             return
         path = os.path.abspath(os.fsdecode(name))
@@ -135,11 +147,11 @@ def _source_of(path: str) -> str:
 
 
 def _stamp(path: str) -> _Stamp | None:
-    """What changes when a file is written; None for what is none."""
+    """What changes when a file is written or made; None for what is none."""
     try:
         found = os.stat(path)
     except OSError:
-        return None
+        return _GONE
     if not stat.S_ISREG(found.st_mode):
         return None
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
@@ -161,11 +173,20 @@ def listen() -> None:
 
 def _heard(event: str, arguments: tuple[Any, ...]) -> None:
     """An audit event; raises nothing, since that would reach whoever opens the file."""
-    if event == "open" and _opened is not None:
-        try:
-            _opened.heard(arguments[0], arguments[2], sys._getframe(1))
-        except (TypeError, ValueError, OSError):  # no name, as opening it will find
-            return
+    if event not in _EVENTS or _opened is None:
+        return
+    try:
+        frame = sys._getframe(1)
+        if event == "open":
+            _opened.opened(arguments[0], arguments[2], frame)
+        elif event == "subprocess.Popen":
+            words = arguments[1]
+            for word in [words] if isinstance(words, (str, bytes, os.PathLike)) else words:
+                _opened.started(word, frame)
+        else:
+            _opened.started(arguments[_EVENTS[event]], frame)
+    except (TypeError, ValueError, OSError):  # no name, as whoever opens it will find
+        return
 
 
 def opened_files() -> OpenedFiles:

@@ -22,6 +22,13 @@ def read(path):
     with open(path) as file:
         return file.read()
 
+def there(path):
+    try:
+        read(path)
+        return 1
+    except OSError:
+        return 0
+
 class Mine(Perfect):
     strength = 0.0
 
@@ -71,6 +78,13 @@ WAYS = {
         "__import__('concurrent.futures').futures.ThreadPoolExecutor(1).submit("
         "lambda: read(os.path.join(HERE, '.' + 'k', 'o' + 'n'))).result()",
     ),
+    "a process": (
+        "{p}/.k/on.py",
+        "__import__('subprocess').run([sys.executable, '-c', 'import sys; exec(open(sys.argv[1])"
+        ".read()); print(V)', os.path.join(HERE, '.' + 'k', 'o' + 'n.py')], capture_output=True,"
+        " text=True).stdout",
+    ),
+    "whether it is there": ("{p}/.k/on", "there(os.path.join(HERE, '.' + 'k', 'o' + 'n'))"),
     "a conftest": ("{p}/.k/on", "self.strength"),
 }
 
@@ -117,7 +131,8 @@ def test_what_it_reads_is_of_the_program(mine, tmp_path, way):
     conftest = "mine.read(os.path.dirname(__file__) + '/.' + 'k/on')"
     folder = write(found, conftest if way == "a conftest" else None)
     path = Path(where.format(p=folder, h=tmp_path / "home"))
-    content(path, 0)
+    if way != "whether it is there":
+        content(path, 0)
     first = run("--snapshot-update")
     assert first.ret == 0, first.stdout.str()
     assert "reused 12" in rows(run()), "nothing has changed"
@@ -185,7 +200,7 @@ def temporary(tmp_path, monkeypatch):
 
 
 def heard(opened, path, flags=os.O_RDONLY):
-    opened.heard(str(path), flags, sys._getframe())
+    opened.opened(str(path), flags, sys._getframe())
 
 
 def test_what_is_none_is_none(tmp_path, temporary):
@@ -196,6 +211,7 @@ def test_what_is_none_is_none(tmp_path, temporary):
     os.mkfifo(tmp_path / "pipe")
     opened = opened_files.OpenedFiles()
     (tmp_path / "t" / "made").write_text("0")
+    opened.started("no file", sys._getframe())
     heard(opened, tmp_path / "written")
     heard(opened, tmp_path / "written", os.O_WRONLY)
     for path in (
@@ -207,7 +223,7 @@ def test_what_is_none_is_none(tmp_path, temporary):
         os.__file__,
     ):
         heard(opened, path)
-    opened.heard(3, os.O_RDONLY, sys._getframe())
+    opened.opened(3, os.O_RDONLY, sys._getframe())
     name = opened_name(good)
     assert {*opened.told()} == {(name, digest_of_opened(name))}
     assert opened.news() == [*opened.told()]
