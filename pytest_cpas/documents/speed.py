@@ -1,6 +1,6 @@
 """What ``--cpas-benchmark`` measured: the only part of a report that holds times, in seconds."""
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from pytest_cpas.documents._allowed import (
     AboveZero,
@@ -128,6 +128,11 @@ class MeasuredSpeedDocument(TypedDict):
     stages: Annotated[
         list[StageDocument],
         "What the adapter names, in the order in which it came; measured apart from the rounds.",
+    ]
+    transfer_seconds: Annotated[
+        NotRequired[NotNegative],
+        "Per sample: the way to a method in another interpreter and back, which is no part of its"
+        " time; only of such a method.",
     ]
     memory: MemoryDocument
     machine: MachineDocument

@@ -108,7 +108,7 @@ class ResultsFile:
         elif not programs:
             programs = differences(there.opened, {n: digest_of_opened(n) for n in there.opened})
         programs += [
-            f"the {whose} sources are in no file, so they may have changed"
+            f"the {whose} sources are in no file that was seen, so they may have changed"
             for key, whose in (("code", "method's"), ("data_code", "data set's"))
             if self.header.provenance.get(key) == UNKNOWN
         ]

@@ -293,9 +293,9 @@ class RemoteMethod:
         }
         start = time.perf_counter()
         answer, given = self.remote.ask(request, arrays, what="predict", seconds=seconds)
-        spent = _seconds(answer.get("seconds"))
-        self.own_seconds += spent
-        self.transfer_seconds += max(time.perf_counter() - start - spent, 0.0)
+        elapsed = time.perf_counter() - start
+        self.own_seconds += _seconds(answer.get("seconds"))
+        self.transfer_seconds += max(elapsed - _seconds(answer.get("wall")), 0.0)
         if clock is not None and isinstance(stages := answer.get("stages"), dict):
             for name, value in stages.items():
                 clock.seconds[name] = clock.seconds.get(name, 0.0) + _seconds(value)
@@ -303,10 +303,49 @@ class RemoteMethod:
         _put_back(answer.get("changed"), arrays, given)
         return predictions_of(answer.get("answers"), given)
 
-    def ask(self, call: str, **request: Any) -> Any:
-        """What a worker tells of itself."""
+    def process_facts(self) -> dict[str, Any]:
+        """Clock, device, threads and versions of the worker; :class:`WorkerError`."""
+        told = self._told("facts")
+        texts = all(isinstance(told.get(part), str) for part in ("clock", "device"))
+        threads, versions = told.get("threads"), told.get("versions")
+        if not texts or not isinstance(threads, dict) or not isinstance(versions, dict):
+            raise WorkerError(f"facts: the answer is {shown(told)}")
+        return {
+            "clock": str(told["clock"]),
+            "device": str(told["device"])[:200],
+            "threads": {str(name): int(count) for name, count in threads.items()},
+            "versions": {
+                "interpreter": self.remote.interpreter,
+                **{str(name): str(version)[:100] for name, version in versions.items()},
+            },
+        }
+
+    def memory(self) -> RemoteMemory:
+        """The peak of memory there, from here on."""
+        return RemoteMemory(self)
+
+    def _told(self, call: str, **request: Any) -> Mapping[str, Any]:
         self._ready()
-        return self.remote.ask({"call": call, **request}, what=call, seconds=60)[0].get("value")
+        told = self.remote.ask({"call": call, **request}, what=call, seconds=60)[0].get("value")
+        return told if isinstance(told, Mapping) else {}
+
+
+class RemoteMemory:
+    """The peak of what a worker holds from here on."""
+
+    def __init__(self, method: RemoteMethod) -> None:
+        self._told = method._told
+        self._told("memory", anew=True)
+
+    def peak(self) -> dict[str, Any]:
+        """As a report has it."""
+        told = self._told("memory", anew=False)
+        host, on_device = (
+            value if type(value) is int and value >= 0 else None
+            for value in (told.get("host_bytes"), told.get("device_bytes"))
+        )
+        source = None if host is None else "predictions" if told.get("anew") else "process"
+        return {"host_bytes": host, "host_source": source, "device_bytes": on_device}
 
 
 def remote_method(spec: Spec) -> type[RemoteMethod]:

@@ -176,7 +176,8 @@ class WorkerProcess:
     def last_words(self) -> str:
         """The last lines of the error stream, for a message."""
         text = (self._told + bytes(self._errors)).decode("utf-8", "replace")
-        lines = [line for line in text.splitlines() if self._token not in line and line.strip()]
+        own = re.compile(rf'\s*$|.*{self._token}|  File "(cpas_worker\.py|<string>)", line \d+ in ')
+        lines = [line for line in text.splitlines() if not own.match(line)]
         return terminal_lines("\n".join(lines[-_LINES:]))
 
     # -- the loop ---------------------------------------------------------------------------

@@ -166,6 +166,7 @@ class Served:
         self._class: Any = None
         self._methods: Dict[int, Any] = {}
         self._device = "cpu"
+        self._anew = False
 
     def answer(
         self, request: Dict[str, Any], arrays: List[Any]
@@ -223,7 +224,10 @@ class Served:
         return facts(self._device)
 
     def _memory(self, request: Dict[str, Any]) -> Any:
-        return memory(self._device, request["anew"])
+        told = memory(self._device)
+        if request["anew"]:
+            self._anew = _begin_anew(self._device)
+        return dict(told, anew=self._anew)
 
     def _predict(
         self, request: Dict[str, Any], arrays: List[Any]
@@ -239,10 +243,11 @@ class Served:
         _stages.synchronise = _synchroniser(self._device)
         _stages.listens, _stages.seconds = request["timed"], {}
         with _also_listening(_stages):
-            start = now()
+            _stages.synchronise()
+            start, wall = now(), time.perf_counter()
             predictions = method.predict(batch, request["seed"])
             _stages.synchronise()
-            seconds = now() - start
+            seconds, wall = now() - start, time.perf_counter() - wall
         made: List[Any] = []
         answers = [
             _answer(index, answer, made) for index, answer in enumerate(_listed(predictions))
@@ -253,6 +258,7 @@ class Served:
         return {
             "answers": answers,
             "seconds": seconds,
+            "wall": wall,
             "stages": _stages.seconds,
             "drawn": drawn.changed(),
             "changed": changed,
@@ -422,8 +428,21 @@ def facts(device: str) -> Dict[str, Any]:
     }
 
 
-def memory(device: str, anew: bool) -> Dict[str, Any]:
-    """The peak of what this process and torch hold, ``anew`` from here on."""
+def _begin_anew(device: str) -> bool:
+    """Have the peak of memory begin here; whether the system does that."""
+    torch: Any = sys.modules.get("torch") if device.startswith("cuda") else None
+    if torch is not None:
+        torch.cuda.reset_peak_memory_stats(device)
+    try:
+        with open("/proc/self/clear_refs", "w") as file:
+            file.write("5")
+    except OSError:
+        return False
+    return True
+
+
+def memory(device: str) -> Dict[str, Any]:
+    """The peak of what this process and torch hold."""
     torch: Any = sys.modules.get("torch") if device.startswith("cuda") else None
     host = on_device = None
     if torch is not None:
@@ -432,13 +451,8 @@ def memory(device: str, anew: bool) -> Dict[str, Any]:
         with open("/proc/self/status") as status:
             peak = [line.split()[1] for line in status if line.startswith("VmHWM:")]
         host = int(peak[0]) * 1024
-        if anew:
-            with open("/proc/self/clear_refs", "w") as file:
-                file.write("5")
     except (OSError, IndexError):
         pass
-    if anew and torch is not None:
-        torch.cuda.reset_peak_memory_stats(device)
     return {"host_bytes": host, "device_bytes": on_device}
 
 

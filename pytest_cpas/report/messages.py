@@ -147,6 +147,9 @@ def speed_lines(speed: SpeedDocument) -> list[str]:
     ]
     if speed["stages"]:
         lines.append("; ".join(map(_stage, speed["stages"])))
+    if "transfer_seconds" in speed:
+        way = duration_message(speed["transfer_seconds"])
+        lines.append(f"beside it, {way} for the way to its interpreter and back")
     cores = "core" if machine["cores"] == 1 else "cores"
     device = "" if machine["device"] == "cpu" else f", {machine['device']}"
     lines.append(

@@ -11,6 +11,7 @@ import pytest
 from pytest_cpas import registry
 from pytest_cpas.documents import ItemOutcome, MeasuredSpeedDocument, SpeedDocument
 from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.remote import RemoteMethod
 from pytest_cpas.session.method_session import CpasSession, cpas_session
 from pytest_cpas.session.options import RunOptions
 from pytest_cpas.session.resolution import make_method
@@ -18,7 +19,7 @@ from pytest_cpas.session.suite_session import SuiteSession, usage_errors
 from pytest_cpas.timing.running import Plan, Rival, SpeedRun
 from pytest_cpas.timing.verdicts import parse_limit
 from pytest_cpas.timing.workers import TimingError
-from pytest_cpas.types import ContractError, Verdict
+from pytest_cpas.types import ContractError, Method, Verdict
 
 #: Where an item keeps the document of what it measured.
 MEASURED = pytest.StashKey[SpeedDocument]()
@@ -37,6 +38,9 @@ class SpeedSession(SuiteSession):
         self.cpas: CpasSession = cpas_session(config)
         with usage_errors(registry.RegistryError, ContractError, ValueError, OSError):
             plan = plan_of(config.option, self.cpas.options)
+            for run in self.cpas.runs:
+                if plan.rival and isinstance(run, MethodRun):
+                    _check_comparable(run.unloaded)
         #: One for each method and data set; the parts of a profile are not timed one by one.
         self.speed_runs = [
             SpeedRun(run, plan)
@@ -141,6 +145,17 @@ def plan_of(options: Namespace, run_options: RunOptions) -> Plan:
     )
 
 
+_NOT_ELSEWHERE = (
+    "methods are compared in processes of one kind, and this one answers from another interpreter;"
+    " leave out --cpas-benchmark-against to time it against the calibration kernel"
+)
+
+
+def _check_comparable(method: Method) -> None:
+    if isinstance(method, RemoteMethod):
+        raise ValueError(f"--cpas-benchmark-against, of {method.info.name}: {_NOT_ELSEWHERE}")
+
+
 def _rival(name: str | None, weights: Path | None, root: Path) -> Rival | None:
     if name is None:
         return None
@@ -150,6 +165,9 @@ def _rival(name: str | None, weights: Path | None, root: Path) -> Rival | None:
             raise ValueError(f"--cpas-benchmark-against is {name!r}, expected such as git:HEAD~1")
         return Rival(name, revision=revision)
     made = make_method(name, weights, root)
+    if isinstance(made, type) and issubclass(made, RemoteMethod):
+        made.remote.close()
+        raise ValueError(f"--cpas-benchmark-against {name}: {_NOT_ELSEWHERE}")
     if not isinstance(made, type):
         raise ValueError(f"--cpas-benchmark-against {name}: {made!r}, expected a class")
     return Rival(name, made)

@@ -80,12 +80,14 @@ def seconds_of(call: Callable[[], object], synchronise: Callable[[], None]) -> f
 
 class Examined(TypedDict):
     """Some ``predictions`` of a method: the ``total`` of their seconds, that of each of their
-    ``stages`` by name, and the peak of ``memory``."""
+    ``stages`` by name, and the peak of ``memory``; ``transfer``: seconds of the way to a method in
+    another interpreter and back, None for one that is here."""
 
     predictions: int
     total: float
     stages: dict[str, float]
     memory: MemoryDocument
+    transfer: float | None
 
 
 class ProcessFacts(TypedDict):
@@ -106,6 +108,8 @@ class Contestant:
         self._seed, self._device = seed, device
         self._synchronise = synchroniser(device)
         self._repetitions, self._settled = 1, False
+        #: A method in another interpreter times itself, or the way there would count.
+        self._is_elsewhere = hasattr(method, "own_seconds")
 
     def settle(self, repetitions: int) -> None:
         """After the warm-up: what is held now is no garbage, until :meth:`close`; and from now on,
@@ -122,7 +126,11 @@ class Contestant:
         """Seconds of one prediction, for the ``index``-th observation."""
         if self._settled:  # else it would go through all that the process holds
             gc.collect()
-        return self.timed(lambda: self._predict(index)) / self._repetitions
+        before = self._method.own_seconds if self._is_elsewhere else 0.0
+        seconds = self.timed(lambda: self._predict(index))
+        if self._is_elsewhere:
+            seconds = self._method.own_seconds - before
+        return seconds / self._repetitions
 
     def timed(self, call: Callable[[], object]) -> float:
         """Seconds of any call that uses this method's device."""
@@ -137,7 +145,8 @@ class Contestant:
         from pytest_cpas.stages import StageClock
 
         clock = StageClock(now, self._synchronise)
-        memory = PeakMemory(self._device)
+        transfer = self._method.transfer_seconds if self._is_elsewhere else 0.0
+        memory = self._method.memory() if self._is_elsewhere else PeakMemory(self._device)
         with clock.listening():
             seconds = [self.run(index) for index in range(len(self._observations))]
         return {
@@ -145,10 +154,14 @@ class Contestant:
             "total": self._repetitions * sum(seconds),
             "stages": clock.seconds,
             "memory": memory.peak(),
+            "transfer": self._method.transfer_seconds - transfer if self._is_elsewhere else None,
         }
 
     def facts(self) -> ProcessFacts:
-        """What is known of this process."""
+        """What is known of the process of the method."""
+        if self._is_elsewhere:
+            told: ProcessFacts = self._method.process_facts()
+            return told
         from threadpoolctl import threadpool_info
 
         threads = {pool["internal_api"]: int(pool["num_threads"]) for pool in threadpool_info()}

@@ -19,6 +19,7 @@ from pytest_cpas.documents import (
 )
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.golden.published import PublishedTime, published_time
+from pytest_cpas.remote import RemoteMethod
 from pytest_cpas.timing.calibration import Calibration, kernel_for
 from pytest_cpas.timing.comparison import Comparison, WithRecord, WithRival
 from pytest_cpas.timing.contestant import Contestant, Examined, write_observations
@@ -33,7 +34,7 @@ from pytest_cpas.timing.records import (
     write_record,
 )
 from pytest_cpas.timing.verdicts import SpeedWord
-from pytest_cpas.timing.workers import Adapter, Revision, Worker
+from pytest_cpas.timing.workers import Adapter, Revision, TimingError, Worker
 from pytest_cpas.types import MethodInfo, Observation, Verdict
 from pytest_cpas.types.samples import ALL
 
@@ -124,7 +125,7 @@ class SpeedRun:
                 )
                 time_rounds(benchmark, rounds, LOOKS, comparison.undecided)
                 verdict, slowdown = comparison.verdict(rounds), comparison.slowdown(rounds)
-        return verdict, {
+        document: MeasuredSpeedDocument = {
             "seconds": _interval(rounds.candidate_seconds),
             "mean_seconds": statistics.fmean(rounds.candidate_seconds),
             "rounds": len(rounds.candidate_seconds),
@@ -138,6 +139,9 @@ class SpeedRun:
             "slowdown": None if slowdown is None else _interval_document(slowdown),
             "published": _published(published_time(self.run.method)),
         }
+        if (transfer := examined.get("transfer")) is not None:
+            document["transfer_seconds"] = transfer / examined["predictions"]
+        return verdict, document
 
     def _reference(self, name: str, rounds: Rounds) -> ReferenceDocument:
         """What the method was timed in turns with."""
@@ -153,6 +157,12 @@ class SpeedRun:
     ) -> tuple[Contestant | Worker, Calibration | Worker]:
         """The method and its reference; in workers of the same kind if both are methods."""
         run, plan = self.run, self.plan
+        method = run.unloaded
+        if isinstance(method, RemoteMethod) and not method.remote.is_here:
+            raise TimingError(
+                f"{run.method} answers on another machine than this one, where what it would be"
+                " timed against runs; run pytest there, or leave out --cpas-benchmark"
+            )
         if plan.rival is None:
             here = Contestant(run.loaded(), observations, run.seed, plan.device)
             stack.callback(here.close)
@@ -160,8 +170,7 @@ class SpeedRun:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pytest-cpas-")))
         file = folder / "observations.npz"
         write_observations(file, observations)
-        method = type(run.unloaded)
-        rival = plan.rival.of(method)
+        rival = plan.rival.of(type(method))
         if isinstance(rival, Revision):
             rival = rival.extract(folder)
 
@@ -172,7 +181,7 @@ class SpeedRun:
             stack.callback(worker.close)
             return worker
 
-        return start(run.method, Adapter.of(method)), start(plan.rival.name, rival)
+        return start(run.method, Adapter.of(type(method))), start(plan.rival.name, rival)
 
 
 def _warm_up(candidate: Contestant | Worker, reference: Calibration | Worker, samples: int) -> int:

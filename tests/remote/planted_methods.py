@@ -106,6 +106,8 @@ class DiesAlways(Good):
 
 class Sleeps(Good):
     def fault(self):
+        if "ASLEEP" in os.environ:
+            open(os.environ["ASLEEP"], "w").close()
         time.sleep(60)
 
 
@@ -254,6 +256,15 @@ class ChangesInput(Good):
         for seen in batch:
             seen["depth"][0, 0] = 7
         return super().predict(batch, seed)
+
+
+class Staged(Good):
+    def right(self):
+        from cpas_worker import stage
+
+        with stage("network"):
+            time.sleep(0.01)
+        return super().right()
 
 
 class DrawsGlobally(Good):

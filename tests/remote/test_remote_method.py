@@ -1,6 +1,7 @@
 """A method behind a worker is as one that is here: contract, facts, identity, random states."""
 
 import ast
+import platform
 import shutil
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from pytest_cpas.checks.contract import CONTRACT, MethodSubject, check_contract
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.remote import remote_method
 from pytest_cpas.remote import worker as worker_file
+from pytest_cpas.timing.contestant import Contestant
 
 #: Where tests/tiny.py is.
 TESTS = str(Path(tiny.__file__).parent)
@@ -163,3 +165,28 @@ def test_worker_is_python_3_6():
     newer |= {"waitstatus_to_exitcode", "importlib.metadata", "dataclasses", "default_rng"}
     names = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)} | imported
     assert names & newer == set()
+
+
+def test_time_is_that_of_the_method_and_its_stages_are_told(remote):
+    """Its own; the way there and back is told apart."""
+    method = remote("planted_methods:Staged")()
+    method.load(None, "cpu")
+    observation = tiny.Tiny(None).load(tiny.Tiny(None).samples[0]).observation
+    contestant = Contestant(method, [observation] * 2, 0, "cpu")
+    told = contestant.examine()
+    assert told["predictions"] == 2
+    assert told["total"] >= told["stages"]["network"] >= 0.02
+    assert told["transfer"] > 0
+    assert told["total"] == method.own_seconds
+    assert told["memory"]["host_bytes"] > 2**20
+    facts = contestant.facts()
+    assert facts["versions"]["interpreter"] == f"CPython {platform.python_version()}"
+    assert "numpy" in facts["versions"]
+    contestant.close()
+
+
+def test_a_method_here_has_no_way_to_go():
+    method = tiny.Perfect()
+    method.load(None, "cpu")
+    observation = tiny.Tiny(None).load(tiny.Tiny(None).samples[0]).observation
+    assert Contestant(method, [observation], 0, "cpu").examine()["transfer"] is None

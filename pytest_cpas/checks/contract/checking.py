@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pytest_cpas.checks.outcome import Finding, Outcome
 from pytest_cpas.evaluation import check_answers
+from pytest_cpas.remote import RaisedThereError, WorkerError
 from pytest_cpas.types import (
     AnswerError,
     Array,
@@ -214,6 +215,8 @@ class MethodSubject:
                 answers = method.predict(given, self.seed)
             except ContractError as error:
                 raise Finding(Outcome.VIOLATED, str(error)) from None
+            except (RaisedThereError, WorkerError) as error:
+                raise Finding(Outcome.RAISED, f"predict raised {error}") from None
             except Exception as error:
                 *_, last = traceback.extract_tb(error.__traceback__)
                 where = f"{last.filename}, line {last.lineno}"
