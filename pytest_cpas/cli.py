@@ -142,6 +142,23 @@ def command_line() -> argparse.ArgumentParser:
     adapter.add_argument(
         "--to", type=Path, default=Path(), metavar="DIR", help="where (default: here)"
     )
+    adapter.add_argument(
+        "--for-interpreter",
+        metavar="VERSION",
+        help="of a method that runs in an interpreter of its own, such as 3.6: it needs numpy and"
+        " nothing of pytest-cpas, and cpas-methods.toml says how it is reached",
+    )
+    checking = commands.add_parser(
+        "worker-check",
+        help="try a method in another interpreter on one made-up sample",
+        description="Start the interpreter of a method that pyproject.toml or cpas-methods.toml"
+        " names, or of exec:COMMAND#module:Class, load the method there, send it one made-up sample"
+        " and say, step by step, what is known and what is wrong. The exit code is 0 if it"
+        " answers.",
+    )
+    checking.add_argument("name", metavar="NAME", help="as for --cpas-method")
+    checking.add_argument("--weights", type=Path, metavar="DIR", help="as --cpas-weights")
+    checking.add_argument("--device", default="cpu", help="as --cpas-device (default: cpu)")
     return parser
 
 
@@ -170,6 +187,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fetch(options.name, options.to, options.yes)
     if options.command == "new-adapter":
         return _new_adapter(options)
+    if options.command == "worker-check":
+        return _worker_check(options)
     if options.command == "convert":
         return _convert(options)
     if options.command == "link":
@@ -246,13 +265,38 @@ def _new_adapter(options: argparse.Namespace) -> int:
     from pytest_cpas.new_adapter import NewAdapterError, new_adapter
 
     try:
-        paths, next_options = new_adapter(options.name, options.to)
+        paths, next_options = new_adapter(options.name, options.to, options.for_interpreter)
     except (NewAdapterError, OSError) as error:
         say(f"pytest-cpas new-adapter: {error}", file=sys.stderr)
         return 1
     say("wrote", *(f"  {path}" for path in paths))
     there = "" if options.to == Path() else f"cd {shlex.quote(str(options.to))} && "
-    say(f"next:\n  {there}pytest {next_options} --cpas-limit=24")
+    if options.for_interpreter:
+        say(f"next:\n  {there}pytest-cpas worker-check {options.name}")
+        there = ""
+    else:
+        say("next:")
+    say(f"  {there}pytest {next_options} --cpas-limit=24")
+    return 0
+
+
+def _worker_check(options: argparse.Namespace) -> int:
+    from pytest_cpas.registry import RegistryError
+    from pytest_cpas.remote import RaisedThereError, WorkerError, close_all
+    from pytest_cpas.session.worker_check import worker_check
+    from pytest_cpas.types import ContractError
+
+    weights = options.weights or os.environ.get("CPAS_WEIGHTS")
+    try:
+        for line in worker_check(
+            options.name, Path.cwd(), Path(weights) if weights else None, options.device
+        ):
+            say(line)
+    except (RegistryError, RaisedThereError, WorkerError, ContractError, OSError) as error:
+        say(f"pytest-cpas worker-check: {error}", file=sys.stderr)
+        return 1
+    finally:
+        close_all()
     return 0
 
 

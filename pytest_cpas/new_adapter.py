@@ -18,13 +18,22 @@ _TEMPLATES = {
     "{name}.known.toml": "known.toml.template",
 }
 
+#: The same of a method in another interpreter.
+_ELSEWHERE = {
+    "{module}.py": "method_elsewhere.py.template",
+    "cpas-methods.toml": "cpas-methods.toml.template",
+    "{name}.known.toml": "known.toml.template",
+}
+
 
 class NewAdapterError(ToldError):
     """A name that cannot be used, or files that are in the way."""
 
 
-def new_adapter(name: str, folder: Path) -> tuple[list[Path], str]:
+def new_adapter(name: str, folder: Path, interpreter: str | None = None) -> tuple[list[Path], str]:
     """Write the skeleton of a method ``name`` into ``folder``, which is made if need be.
+
+    ``interpreter``: the version of the one that it runs in, such as "3.6"; None for this one.
 
     Returns the files and the pytest options that run it from there. Raises
     :class:`NewAdapterError`, with nothing written, for a name that is no module's or belongs to
@@ -41,10 +50,16 @@ def new_adapter(name: str, folder: Path) -> tuple[list[Path], str]:
             " it gets a name of its own, and its info.name once it shall be compared with the"
             " golden table of that one"
         )
+    version = re.fullmatch(r"3\.(\d+)", interpreter or "3.6")
+    if version is None or int(version[1]) < 6:
+        raise NewAdapterError(
+            f"--for-interpreter {interpreter}: expected a version of Python, 3.6 or newer, such as"
+            " 3.8"
+        )
     module = name.replace("-", "_")
     paths = {
         folder / path.format(name=name, module=module): template
-        for path, template in _TEMPLATES.items()
+        for path, template in (_ELSEWHERE if interpreter else _TEMPLATES).items()
     }
     existing = [str(path) for path in paths if path.exists()]
     if existing:
@@ -55,8 +70,10 @@ def new_adapter(name: str, folder: Path) -> tuple[list[Path], str]:
             " is installed; take another one"
         )
     class_name = "".join(part.capitalize() for part in module.split("_"))
-    options = f"--cpas-method={module}:{class_name} --cpas-dataset=synthetic-handheld"
+    method = name if interpreter else f"{module}:{class_name}"
+    options = f"--cpas-method={method} --cpas-dataset=synthetic-handheld"
     values = {"name": name, "module": module, "class_name": class_name, "pytest_options": options}
+    values["version"] = interpreter or ""
     folder.mkdir(parents=True, exist_ok=True)
     for path, template in paths.items():
         text = files("pytest_cpas").joinpath("adapter_template", template).read_text("utf-8")

@@ -1,5 +1,8 @@
 """A new user makes an adapter and goes where its sentences lead."""
 
+import ast
+import sys
+
 import pytest
 from harness import RUN
 
@@ -140,3 +143,51 @@ def test_nothing_is_overwritten(pytester, capsys, file):
     assert f"{file}: there already; nothing was written" in capsys.readouterr().err
     assert [path.name for path in pytester.path.iterdir()] == [file]
     assert (pytester.path / file).read_text() == "mine"
+
+
+def test_an_adapter_for_another_interpreter_answers_at_once(pytester, capsys, monkeypatch):
+    """Its own Python stands for the other one; nothing of pytest-cpas is imported there."""
+    assert main(["new-adapter", "my-method", "--for-interpreter", "3.6"]) == 0
+    written, _, told = capsys.readouterr().out.partition("next:\n")
+    assert written.split() == ["wrote", "my_method.py", "cpas-methods.toml", "my-method.known.toml"]
+    assert told.split("\n")[0] == "  pytest-cpas worker-check my-method"
+    text = (pytester.path / "my_method.py").read_text()
+    assert "pytest_cpas" not in text
+    ast.parse(text, feature_version=(3, 6))
+    file = pytester.path / "cpas-methods.toml"
+    file.write_text(file.read_text().replace('["python3.6"]', f"[{sys.executable!r}]"))
+    assert main(["worker-check", "my-method"]) == 0
+    fnmatch_lines(
+        capsys.readouterr().out,
+        "my-method: *python*",
+        "  CPython * on this machine, my_method:MyMethod in * s",
+        "  bottle, bowl, camera and 3 more; needs depth; gives pose, extents; licence unknown",
+        "  its sources are known, so that its rows are reused while they stay the same",
+        "  a made-up bottle 0.7 m away: answered at (*0.00, *0.00, 0.6*) m of the camera, *",
+        "  pytest --cpas-method=my-method --cpas-dataset=synthetic-handheld",
+    )
+
+
+@pytest.mark.parametrize("version", ["3.5", "2.7", "3", "four"])
+def test_an_interpreter_that_no_worker_runs_in(pytester, capsys, version):
+    assert main(["new-adapter", "my-method", "--for-interpreter", version]) == 1
+    assert f"--for-interpreter {version}: expected a version" in capsys.readouterr().err
+    assert list(pytester.path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("icp", "is one of this interpreter: pytest --cpas-method=icp runs it"),
+        ("icq", "unknown method 'icq'. Did you mean 'icp'?"),
+        ("exec:python", "expected exec:COMMAND#module:Class, where COMMAND ends with an"),
+        ("exec:no-such-python#a:B", "(no-such-python): the command cannot be started"),
+    ],
+)
+def test_what_worker_check_refuses(pytester, capsys, name, told):
+    assert main(["worker-check", name]) == 1
+    assert told in capsys.readouterr().err
+
+
+def fnmatch_lines(text, *lines):
+    pytest.LineMatcher(text.splitlines()).fnmatch_lines(lines)

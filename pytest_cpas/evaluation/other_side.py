@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import replace
 
 from pytest_cpas.evaluation.program import UNKNOWN, Program
+from pytest_cpas.evaluation.surroundings import left_out
 from pytest_cpas.remote import OtherSide, RaisedThereError, RemoteMethod, WorkerError
 from pytest_cpas.types import Method
 
@@ -21,7 +22,7 @@ def with_other_side(program: Program, method: Method) -> Program:
     if not isinstance(method, RemoteMethod):
         return program
     try:
-        other = method.remote.other_side()
+        other = method.remote.other_side(left_out())
     except (WorkerError, RaisedThereError):
         other = OtherSide(UNKNOWN, "unknown", {})
     told = f"{program.code} {other.code}"

@@ -36,6 +36,7 @@ __all__ = [
     "is_installed",
     "is_left_out",
     "leave_out",
+    "left_out",
     "may_grow",
     "named",
     "piecewise_digest",
@@ -94,6 +95,11 @@ def leave_out(folders: Iterable[Path]) -> None:
 def is_left_out(path: Path) -> bool:
     """Whether a file is in one of the folders that :func:`leave_out` was told of."""
     return not _left_out.isdisjoint(path.resolve().parents)
+
+
+def left_out() -> frozenset[Path]:
+    """The folders of :func:`leave_out`."""
+    return frozenset(_left_out)
 
 
 def is_installed(path: Path) -> bool:

@@ -5,7 +5,7 @@
 """
 
 from pytest_cpas.remote.method import OtherSide, RaisedThereError, RemoteMethod, Spec, remote_method
-from pytest_cpas.remote.named import named_methods, spec_of
+from pytest_cpas.remote.named import named_methods, project_folder, spec_of
 from pytest_cpas.remote.process import WorkerError, close_all
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "WorkerError",
     "close_all",
     "named_methods",
+    "project_folder",
     "remote_method",
     "spec_of",
 ]

@@ -11,7 +11,7 @@ import platform
 import random
 import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -91,11 +91,12 @@ class RaisedThereError(ToldError):
 @dataclass(frozen=True)
 class OtherSide:
     """The program on the other side: a digest of it or "unknown", its interpreter and packages in
-    words, and a digest of each file and version by name."""
+    words, and a digest of each file and version by name; ``unknown``: why its code is."""
 
     code: str
     packages: str
     files: Mapping[str, str]
+    unknown: str = ""
 
 
 class Remote:
@@ -211,10 +212,11 @@ class Remote:
             self._process.close()
             self._process = None
 
-    def other_side(self) -> OtherSide:
-        """Its program as it is now."""
+    def other_side(self, leave_out: Iterable[Path] = ()) -> OtherSide:
+        """Its program as it is now; ``leave_out``: folders of data, weights and results."""
         self.started()
-        request = {"call": "sources", "path": self.spec.path}
+        left_out = sorted({self.spec.there(folder) for folder in leave_out})
+        request = {"call": "sources", "path": self.spec.path, "leave_out": left_out}
         answer = self.ask(request, what="looking at its sources", seconds=600)[0].get("value")
         told: Mapping[str, Any] = answer if isinstance(answer, Mapping) else {}
         files, installed = told.get("files"), told.get("distributions")
@@ -223,13 +225,21 @@ class Remote:
         named = {f"{name} (other side)": str(digest) for name, digest in files.items()}
         versions = [str(each) for each in installed]
         spec = self.spec
-        known = [self.interpreter, spec.cls, spec.command, dict(spec.env), spec.image, named]
+        known: list[Any] = [
+            self.interpreter,
+            spec.cls,
+            spec.command,
+            dict(spec.env),
+            spec.image,
+            named,
+        ]
         digest = hashlib.sha256(json.dumps([*known, versions], sort_keys=True).encode())
-        code = _UNKNOWN if told.get("unknown") or not named else digest.hexdigest()[:16]
+        unknown = str(told.get("unknown", ""))[:300] or ("" if named else "no file is seen")
+        code = _UNKNOWN if unknown else digest.hexdigest()[:16]
         first = [each for each in versions if each.partition(" ")[0] in ("numpy", "torch")]
         packages = ", ".join([self.interpreter, *first, *([spec.image] if spec.image else [])])
         named |= {f"{each} (other side)": "installed" for each in versions}
-        return OtherSide(code, packages, named)
+        return OtherSide(code, packages, named, unknown)
 
 
 class RemoteMethod:

@@ -13,7 +13,7 @@ from pytest_cpas.remote.method import Spec
 from pytest_cpas.types import DeclarationError, raised_as, shown
 from pytest_cpas.types.names import checked_name
 
-__all__ = ["FILE", "named_methods", "spec_of"]
+__all__ = ["FILE", "named_methods", "project_folder", "spec_of"]
 
 #: Where methods are named beside pyproject.toml, or without one.
 FILE = "cpas-methods.toml"
@@ -31,6 +31,12 @@ _LISTS = ("command", "path")
 _TABLES = ("env", "paths")
 _SECONDS = ("seconds_to_start", "seconds_to_load")
 _KEYS = (*_LISTS, *_TEXTS, *_TABLES, "shell", *_SECONDS)
+
+
+def project_folder(root: Path, here: Path) -> Path:
+    """Where methods are named: in the folder that pytest takes for the project's, or where it was
+    started, if a cpas-methods.toml is there."""
+    return here if (here / FILE).is_file() else root
 
 
 def spec_of(name: str, root: Path) -> Spec | None:

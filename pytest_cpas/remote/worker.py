@@ -29,7 +29,7 @@ import sysconfig
 import time
 import traceback
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
 #: Both sides have to speak the same.
 PROTOCOL = 1
@@ -218,7 +218,7 @@ class Served:
         self._methods.pop(request["instance"], None)
 
     def _sources(self, request: Dict[str, Any]) -> Any:
-        return sources(request["path"])
+        return sources(request["path"], request["leave_out"])
 
     def _facts(self, request: Dict[str, Any]) -> Any:
         return facts(self._device)
@@ -456,9 +456,13 @@ def memory(device: str) -> Dict[str, Any]:
     return {"host_bytes": host, "device_bytes": on_device}
 
 
-def sources(path: List[str]) -> Dict[str, Any]:
+def sources(path: List[str], leave_out: List[str]) -> Dict[str, Any]:
     """A digest of each file below the folders where modules are looked for, of modules from
-    elsewhere, and the distributions. ``unknown``: why that is not all; else empty."""
+    elsewhere, and the distributions. ``unknown``: why that is not all; else empty.
+
+    ``leave_out``: folders of data, weights, results and the like, which are known otherwise.
+    """
+    known = {os.path.realpath(folder) for folder in leave_out}
     folders = [folder for folder in sys.path if folder and not _is_standard(folder)]
     unknown = "" if path else "no path says in which folders its sources are"
     files: Dict[str, str] = {}
@@ -467,7 +471,7 @@ def sources(path: List[str]) -> Dict[str, Any]:
         base = os.path.basename(os.path.abspath(folder)) or folder
         while any(name.startswith(base + "/") for name in files):
             base += "'"
-        for file in _below(folder) if os.path.isdir(folder) else [folder]:
+        for file in _below(folder, known) if os.path.isdir(folder) else [folder]:
             if len(files) >= _MOST_FILES:
                 unknown = f"{folder} has more than {_MOST_FILES} files"
                 break
@@ -478,8 +482,8 @@ def sources(path: List[str]) -> Dict[str, Any]:
             break
     for name, module in sorted(sys.modules.items()):
         file = getattr(module, "__file__", None) or ""
-        known = any(_is_below(file, folder) for folder in folders) or _is_standard(file)
-        if name not in ("__main__", "cpas_worker") and os.path.isfile(file) and not known:
+        seen = any(_is_below(file, folder) for folder in folders) or _is_standard(file)
+        if name not in ("__main__", "cpas_worker") and os.path.isfile(file) and not seen:
             files[name] = _digest(file, True)[1]
     return {"files": files, "distributions": _distributions(), "unknown": unknown}
 
@@ -496,9 +500,17 @@ def _is_below(place: str, folder: Optional[str]) -> bool:
     return place == folder or place.startswith(folder.rstrip(os.sep) + os.sep)
 
 
-def _below(folder: str) -> Iterator[str]:
+def _below(folder: str, leave_out: Set[str]) -> Iterator[str]:
     for at, folders, names in os.walk(folder, followlinks=False):
-        folders[:] = sorted(n for n in folders if n not in (".git", "__pycache__"))
+        if at != folder and ("pyvenv.cfg" in names or "conda-meta" in folders):
+            folders[:] = []  # an environment, whose distributions have versions
+            continue
+        folders[:] = sorted(
+            name
+            for name in folders
+            if not re.match(r"__pycache__$|\.(git|hypothesis|benchmarks|\w+_cache)$", name)
+            and os.path.realpath(os.path.join(at, name)) not in leave_out
+        )
         for name in sorted(names):
             if not name.endswith(".pyc"):
                 yield os.path.join(at, name)

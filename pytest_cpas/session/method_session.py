@@ -35,7 +35,7 @@ from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
 from pytest_cpas.reading.files import sha256
 from pytest_cpas.reading.text import folded
-from pytest_cpas.remote import close_all
+from pytest_cpas.remote import close_all, project_folder
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.report.terminal import Terminal, shows_samples
@@ -120,7 +120,7 @@ class CpasSession(SuiteSession):
                 config.option,
                 config.invocation_params.dir,
                 golden=golden_folder(config),
-                root=config.rootpath,
+                root=project_folder(config.rootpath, config.invocation_params.dir),
                 alarm=alarm_level(config),
                 protocols=resolve_protocols(
                     config.option.cpas_protocol or config.getini("cpas_protocol"),

@@ -16,8 +16,8 @@ from harness import RUN
 NAMED = """
 [tool.pytest-cpas.methods.{name}]
 command = [{python!r}]
-class = "{cls}"
-path = ["there"]
+class = "there.{cls}"
+path = ["."]
 env = {{ {mark} = {value!r}, ASLEEP = "asleep" }}
 """
 
@@ -91,7 +91,7 @@ def test_what_cannot_be_reached_is_a_usage_error(there):
     result = there("tiny:Perfekt")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(
-        ["ERROR: method 'there': the class tiny:Perfekt cannot be loaded there: AttributeError:*"]
+        ["ERROR: method 'there': the class there.tiny:Perfekt cannot be loaded there: Attr*"]
     )
 
 
