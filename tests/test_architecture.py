@@ -113,6 +113,7 @@ ARROWS: Mapping[str, set[str]] = {
         "new_adapter",
         "reading",
         "registry",
+        "remote",
         "submissions",
         "types",
     },

@@ -4,9 +4,11 @@
 :class:`RemoteMethod` stands for it here.
 """
 
-from pytest_cpas.remote.method import OtherSide, RaisedThereError, RemoteMethod, Spec, remote_method
+from pytest_cpas.remote.method import RemoteMethod, remote_method
 from pytest_cpas.remote.named import named_methods, project_folder, spec_of
 from pytest_cpas.remote.process import WorkerError, close_all
+from pytest_cpas.remote.reached import OtherSide, RaisedThereError
+from pytest_cpas.remote.spec import Spec
 
 __all__ = [
     "OtherSide",

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas.reading.structured import read_toml
-from pytest_cpas.remote.method import Spec
+from pytest_cpas.remote.spec import Spec
 from pytest_cpas.types import DeclarationError, raised_as, shown
 from pytest_cpas.types.names import checked_name
 

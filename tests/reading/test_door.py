@@ -75,7 +75,7 @@ EXCEPTIONS = {
     ("pytest_cpas/timing/workers.py", "json.loads"): "the answer of a worker over a pipe",
     ("pytest_cpas/golden/snapshot.py", "json.loads"): "what serialize() of the same class has made",
     # of the system, and of the user's own repository
-    ("pytest_cpas/remote/method.py", "read_text"): "/proc: which machine this is",
+    ("pytest_cpas/remote/reached.py", "read_text"): "/proc: which machine this is",
     ("pytest_cpas/remote/worker.py", "open"): "/proc, and bytes of sources, for their digest",
     ("pytest_cpas/timing/contestant.py", "read_bytes"): "/proc: how long this thread has waited",
     ("pytest_cpas/timing/contestant.py", "read_text"): "/proc: memory, and the driver's version",

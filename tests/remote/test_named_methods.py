@@ -61,7 +61,7 @@ def test_a_command_of_the_command_line(tmp_path):
     "name", ["exec:", "exec:python", "exec:#a:B", "exec:python#a", "exec:'#a:B"]
 )
 def test_commands_that_lead_nowhere(tmp_path, name):
-    with pytest.raises(DeclarationError, match="method .exec:"):
+    with pytest.raises(DeclarationError, match=r"method .exec:"):
         spec_of(name, tmp_path)
 
 
