@@ -37,6 +37,11 @@ class Crop:
     width: int
 
     @property
+    def limits(self) -> NDArray[np.int64]:
+        """First row, first column, height and width (4,)."""
+        return np.array([self.row, self.column, self.height, self.width])
+
+    @property
     def slices(self) -> tuple[slice, slice]:
         """Index of the window in an image."""
         return (

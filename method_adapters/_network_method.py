@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from method_adapters._assets import require_torch
 from method_adapters._crop import NoAnswerError
-from pytest_cpas.adapting import Hypothesis, MethodInfo, Observation, Prediction, stage
+from pytest_cpas.adapting import Hypothesis, MethodInfo, Observation, Prediction, stage, tap
 
 if TYPE_CHECKING:
     from torch import nn
@@ -73,7 +73,7 @@ class NetworkMethod(ABC, Generic[InputsT]):
         with stage("pre-processing"):
             for i, observation in enumerate(batch):
                 try:
-                    inputs[i] = self.prepare(observation, generators[i])
+                    inputs[i] = tap("input", self.prepare(observation, generators[i]))
                     alike[tuple(part.shape for part in inputs[i])].append(i)
                 except NoAnswerError as error:
                     predictions[i] = Prediction.failed(str(error))

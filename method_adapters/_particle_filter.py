@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
-from pytest_cpas.adapting import Camera, Observation
+from pytest_cpas.adapting import Camera, Observation, draw, tap
 
 Array = NDArray[np.float64]
 
@@ -126,7 +126,8 @@ def first_belief(
     # the middle is behind what is seen, at most as far as the object reaches to the side
     particles[:, 2] += generator.uniform(0, spread, FIRST_PARTICLES)
     particles[:, 2] += Z_NOISE * generator.standard_normal(FIRST_PARTICLES)
-    first = _belief(view, _in_range(particles), match, quaternions)
+    particles = draw("particles", _in_range(particles))
+    first = _belief(view, particles, match, quaternions)
     particles = _resampled(first, generator)
     return _belief(view, particles, match, quaternions)
 
@@ -148,7 +149,7 @@ def _resampled(last: Belief, generator: np.random.Generator) -> Array:
     places = (generator.uniform() + np.arange(NEXT_PARTICLES)) / NEXT_PARTICLES
     chosen = np.searchsorted(np.cumsum(last.weights), places).clip(max=len(last.weights) - 1)
     noise = generator.standard_normal((NEXT_PARTICLES, 3)) * [UV_NOISE, UV_NOISE, Z_NOISE]
-    return _in_range(last.particles[chosen] + KNOWN * noise)
+    return draw("resampled", _in_range(last.particles[chosen] + KNOWN * noise))
 
 
 def _in_range(particles: Array) -> Array:
@@ -172,6 +173,7 @@ def _belief(
         radii = view.radii(view.positions(particles))
     else:
         radii = np.full(len(particles), last.radius)
+    tap("radii", radii)
     similarity = match(view.depth, view.regions(particles, radii), particles[:, 2], radii)
     best = float(similarity.max())
     if not np.isfinite(best):
@@ -190,7 +192,7 @@ def _belief(
     translation = view.positions(mean[None])[0]
     rotation = _mean_rotation(quaternions[near], share @ likelihood[:, near])
     weights = likelihood.sum(axis=1, dtype=float)
-    return Belief(
+    belief = Belief(
         particles,
         weights / weights.sum(),
         towards(translation) @ rotation,
@@ -198,6 +200,8 @@ def _belief(
         float(share @ radii / share.sum()),
         view.cloud.mean(axis=0),
     )
+    tap("belief", vars(belief))
+    return belief
 
 
 def _turn_prior(quaternions: Array, rotation: Array) -> NDArray[np.float32]:

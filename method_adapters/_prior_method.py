@@ -24,7 +24,9 @@ from pytest_cpas.adapting import (
     Hypothesis,
     NoSimilarityError,
     Observation,
+    draw,
     robust_umeyama,
+    tap,
 )
 
 #: x of the middle of the mug's mean shape, NOCS units: its handle pulls it off the origin.
@@ -54,10 +56,11 @@ class PriorMethod(NetworkMethod[Inputs]):
         """What the network sees of an observation; raises :class:`NoAnswerError`."""
         category = self.category_index(observation)
         crop = crop_of(observation.mask)
+        tap("crop", crop.limits)
         rows, columns = depth_pixels(observation.mask, observation.depth, crop)
-        picked = self.pick(len(rows), generator)
+        picked = draw("picked", self.pick(len(rows), generator))
         rows, columns = rows[picked], columns[picked]
-        depth = self.depth_of(observation)
+        depth = tap("depth", self.depth_of(observation))
         return Inputs(
             back_project(rows + crop.row, columns + crop.column, depth, observation.camera),
             network_image(observation.rgb, crop),
@@ -87,9 +90,9 @@ def pose_from_assignment(
 ) -> Hypothesis:
     """SPD's, CR-Net's and SGPA's answer: a similarity from the coordinates that the assignment
     (N, M) gives the observed points to the points themselves (section 3.4 of SPD's paper)."""
-    shape = inputs.prior + deltas
+    shape = tap("shape", inputs.prior + deltas)
     share = np.exp(assign - assign.max(axis=1, keepdims=True))
-    coordinates = share @ shape / share.sum(axis=1, keepdims=True)
+    coordinates = tap("coordinates", share @ shape / share.sum(axis=1, keepdims=True))
     _, distinct = np.unique(inputs.choose, return_index=True)
     try:
         found = robust_umeyama(
@@ -97,6 +100,7 @@ def pose_from_assignment(
         )
     except NoSimilarityError as error:
         raise NoAnswerError(str(error)) from None
+    tap("similarity", {name: getattr(found, name) for name in ("scale", "rotation", "translation")})
     offset = prior_offset(int(inputs.category), float(found.scale))
     points = shape * found.scale - offset
     translation = found.translation + found.rotation @ offset

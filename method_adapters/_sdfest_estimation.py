@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import torch
@@ -17,7 +18,7 @@ from method_adapters._sdf_renderer import (
     ray_depths,
     rotation_matrix,
 )
-from pytest_cpas.adapting import Array
+from pytest_cpas.adapting import Array, TorchTaps, tap
 
 #: A ray ends this share of its length before the surface.
 THRESHOLD = 0.005
@@ -54,16 +55,18 @@ def first_estimate(init: nn.Module, grid: Array, view: View) -> Estimate:
     """What the initialisation network says of one view: as rotation the most probable cell of
     ``grid`` (n, 4), quaternions."""
     middle = view.points.mean(0)
-    latent, position, half_width, logits = init((view.points - middle)[None])
+    with TorchTaps(init):
+        latent, position, half_width, logits = init((view.points - middle)[None])
     rotation = Rotation.from_matrix(view.rotation.cpu().numpy()) * Rotation.from_quat(
         grid[int(logits[0].argmax())]
     )
-    return Estimate(
+    estimate = Estimate(
         latent[0],
         view.rotation @ (position[0] + middle) + view.position,
         torch.from_numpy(rotation.as_quat()).to(middle),
         half_width[0],
     )
+    return tap("first", estimate)
 
 
 def refine(
@@ -84,9 +87,11 @@ def refine(
         (half_width, HALF_WIDTH_RATE),
     )
     optimizer = torch.optim.Adam([{"params": [part], "lr": rate} for part, rate in groups])
-    for _ in range(iterations):
+    for step in range(iterations):
         optimizer.zero_grad()
-        sdf = vae(latent[None])[0, 0]
+        # of one step: a volume each is too much of all
+        with nullcontext() if step else TorchTaps(vae.decoder, "decoder"):
+            sdf = vae(latent[None])[0, 0]
         rotation = rotation_matrix(quaternion)
         loss = torch.zeros_like(half_width)
         for view in views:
@@ -98,16 +103,19 @@ def refine(
             )
             loss = loss + _view_loss(sdf, place, view, gradient)
         loss.backward()
+        tap("loss", loss)
+        tap("gradient", [part.grad for part in (latent, position, quaternion, half_width)])
         optimizer.step()
         with torch.no_grad():
             quaternion /= quaternion.norm()
+        tap("refined", Estimate(latent, position, quaternion, half_width))
     return Estimate(*(part.detach() for part in (latent, position, quaternion, half_width)))
 
 
 def _view_loss(sdf: Tensor, place: Placement, view: View, gradient: Gradient) -> Tensor:
     """Only rays of pixels with a depth can be compared, so no other is followed."""
-    loss = POINT_WEIGHT * distances(sdf, place, view.points).abs().mean()
-    hit, depth = ray_depths(sdf, place, view.directions, THRESHOLD, gradient)
+    loss = POINT_WEIGHT * tap("at_points", distances(sdf, place, view.points)).abs().mean()
+    hit, depth = tap("rendered", ray_depths(sdf, place, view.directions, THRESHOLD, gradient))
     if len(depth):
         loss = loss + DEPTH_WEIGHT * (depth + view.points[hit, 2]).abs().mean()
     return loss

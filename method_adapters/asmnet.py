@@ -25,8 +25,10 @@ from pytest_cpas.adapting import (
     Hypothesis,
     Observation,
     Prediction,
+    draw,
     import_open3d,
     stage,
+    tap,
 )
 
 require_torch()
@@ -101,7 +103,7 @@ class AsmNet:
     def _predict(self, observation: Observation, seed: int) -> Prediction:
         try:
             with stage("pre-processing"):
-                inputs = self.prepare(observation, np.random.default_rng(seed))
+                inputs = tap("input", self.prepare(observation, np.random.default_rng(seed)))
             with stage("network"):
                 shape, quaternion = self._run[observation.category](inputs.points[None])
             model = self._models[observation.category]
@@ -131,10 +133,14 @@ class AsmNet:
                 f"{np.count_nonzero(seen)} pixels of the mask have a depth that counts, expected"
                 f" at least {MIN_DEPTH_PIXELS}"
             )
+        tap("seen", seen)
         cloud = without_outliers(observation.camera.back_project(depth, seen), *OBSERVED_OUTLIERS)
         centre = cloud.mean(axis=0)
         factor = float(np.linalg.norm(cloud - centre, axis=1).max())
-        chosen = generator.choice(len(cloud), POINT_COUNT, replace=len(cloud) < POINT_COUNT)
+        tap("cloud", cloud)
+        chosen = draw(
+            "picked", generator.choice(len(cloud), POINT_COUNT, replace=len(cloud) < POINT_COUNT)
+        )
         points = ((cloud[chosen] - centre) / factor).T.astype(np.float32)
         return Inputs(np.ascontiguousarray(points), cloud, centre, factor)
 
@@ -150,11 +156,12 @@ def interpret(inputs: Inputs, model: ShapeModel, shape: Array, quaternion: Array
         raise NoAnswerError(f"the network's estimate of the shape is {shape.tolist()}")
     if scale <= 0:
         raise NoAnswerError(f"the estimated scale is {scale:g}, not positive")
-    points = without_outliers(model.deformed(shape[:COMPONENTS]), *SHAPE_OUTLIERS)
-    points = points * scale * inputs.factor
+    points = tap("deformed", model.deformed(shape[:COMPONENTS]))
+    points = without_outliers(points, *SHAPE_OUTLIERS)
+    points = tap("shape", points * scale * inputs.factor)
     rotation = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    posed = points @ rotation.T + inputs.centre
-    motion = registration(posed, inputs.cloud)
+    posed = tap("posed", points @ rotation.T + inputs.centre)
+    motion = tap("motion", registration(posed, inputs.cloud))
     posed = posed @ motion[:3, :3].T + motion[:3, 3]
     rotation = motion[:3, :3] @ rotation
     # of the box along the camera's axes, as published

@@ -22,7 +22,7 @@ from method_adapters._crop import (
 )
 from method_adapters._declaration import port_info
 from method_adapters._network_method import Array, NetworkMethod
-from pytest_cpas.adapting import Asset, Hypothesis, Observation
+from pytest_cpas.adapting import Asset, Hypothesis, Observation, draw, tap
 
 if TYPE_CHECKING:
     from torch import nn
@@ -79,8 +79,9 @@ class Cass(NetworkMethod[Inputs]):
         category = self.category_index(observation)
         valid = observation.mask & (observation.depth > 0)
         crop = crop_around(valid if valid.any() else observation.mask)
+        tap("crop", crop.limits)
         rows, columns = depth_pixels(valid, observation.depth, crop)
-        picked = subset_in_order(len(rows), generator, POINT_COUNT)
+        picked = draw("picked", subset_in_order(len(rows), generator, POINT_COUNT))
         rows, columns = rows[picked], columns[picked]
         v, u = rows + crop.row, columns + crop.column
         points = back_project(v, u, observation.depth, observation.camera)
@@ -96,7 +97,7 @@ class Cass(NetworkMethod[Inputs]):
     ) -> Hypothesis:
         """The pose that the point says which is surest of its own; the shape is metric."""
         quaternion, offset, confidence, shape = outputs
-        surest = int(np.argmax(confidence))
+        surest = int(tap("surest", np.argmax(confidence)))
         turn = quaternion[surest, [1, 2, 3, 0]]
         if not np.linalg.norm(turn) > 0:  # NaN is not
             raise NoAnswerError(f"the estimated quaternion is {turn.tolist()}, not a rotation")

@@ -28,7 +28,9 @@ from pytest_cpas.adapting import (
     Mesh,
     Observation,
     Prediction,
+    draw,
     stage,
+    tap,
 )
 
 if TYPE_CHECKING:
@@ -149,9 +151,10 @@ class ICaps:
 
         with stage("pre-processing"):
             view = View.of(observation)
+            tap("input", {"depth": view.depth, "corner": view.corner, "cloud": view.cloud})
         matcher, refiner = self._category(observation.category)
         with stage("pre-processing"):
-            points = spread(view.cloud, generator)
+            points = draw("spread", spread(view.cloud, generator))
         rotations = matcher.codebook.quaternions
         if last is None:
             with stage("particle filter"):
@@ -159,13 +162,15 @@ class ICaps:
             with stage("refinement"):
                 placed, shape = refiner(points, _placed(belief))
             with stage("post-processing"):
-                mesh = level_set(distance_grid(shape), 0, half_width=placed.unit, closed=False)
+                grid = tap("distances", distance_grid(shape))
+                mesh = level_set(grid, 0, half_width=placed.unit, closed=False)
         else:
             with stage("particle filter"):
                 belief = next_belief(view, last.belief, matcher, rotations, generator)
             with stage("refinement"):
                 placed = refiner.follow(points, _placed(belief), last.shape)
             shape, mesh = last.shape, last.mesh
+        tap("placed", vars(placed))
         belief = belief.corrected(view, placed.rotation @ NOCS_FROM_SHAPENET.T, placed.translation)
         return Track(belief, placed, shape, mesh)
 

@@ -13,7 +13,7 @@ from method_adapters._crop import Crop, NoAnswerError, back_project, crop_of, de
 from method_adapters._declaration import port_info
 from method_adapters._network_method import Array, NetworkMethod
 from method_adapters._prior_method import prior_offset
-from pytest_cpas.adapting import CATEGORIES, Asset, Hypothesis, Observation
+from pytest_cpas.adapting import CATEGORIES, Asset, Hypothesis, Observation, draw, tap
 
 if TYPE_CHECKING:
     from torch import nn
@@ -87,18 +87,20 @@ class RbpPose(NetworkMethod[Inputs]):
         category = self.category_index(observation)
         prior = self._priors[category]
         crop = crop_of(observation.mask)
+        tap("crop", crop.limits)
         depth_pixels(observation.mask, observation.depth, crop)  # are there enough
         v, u = resampled_pixels(observation.mask & (observation.depth > 0), crop)
         if len(v) == 0:
             raise NoAnswerError("the pixels with a depth are too scattered: resampling meets none")
-        picked = generator.choice(len(v), POINT_COUNT, replace=len(v) < POINT_COUNT)
+        tap("resampled", (v, u))
+        picked = draw("picked", generator.choice(len(v), POINT_COUNT, replace=len(v) < POINT_COUNT))
         return Inputs(
             back_project(v[picked], u[picked], observation.depth, observation.camera),
             np.array(category),
             prior,
             np.array(MEAN_SIZES[observation.category], np.float32),
-            *thinning(POINT_COUNT, generator),
-            *thinning(len(prior), generator),
+            *draw("kept", thinning(POINT_COUNT, generator)),
+            *draw("prior_kept", thinning(len(prior), generator)),
         )
 
     def interpret(
@@ -113,7 +115,7 @@ class RbpPose(NetworkMethod[Inputs]):
         rotation = rotation_between(green, red, float(sure_green), 0 if turns else float(sure_red))
         diagonal = float(np.linalg.norm(size))
         offset = prior_offset(category, diagonal)
-        points = (inputs.prior + deltas) * diagonal - offset
+        points = tap("shape", inputs.prior + deltas) * diagonal - offset
         return Hypothesis(
             rotation=rotation,
             translation=translation + rotation @ offset,

@@ -30,8 +30,10 @@ from pytest_cpas.adapting import (
     Observation,
     Pose,
     Prediction,
+    draw,
     sample_surface,
     stage,
+    tap,
 )
 
 if TYPE_CHECKING:
@@ -166,7 +168,7 @@ class Sdfest:
             raise NoAnswerError(f"category {category!r}: {self.info.name} knows {known}")
         model = self._models[category]
         with stage("pre-processing"):
-            taken = [self._view(seen, camera) for seen, camera in views]
+            taken = [tap("input", self._view(seen, camera)) for seen, camera in views]
         with full_precision():
             with stage("network"):
                 first = first_estimate(model.init, model.grid, taken[0])
@@ -210,7 +212,7 @@ def reconstruct(vae: SdfVae, found: Estimate) -> Mesh:
     if not 0 < half_width < np.inf:
         raise NoAnswerError(f"the half-width of the volume became {half_width:g} m")
     with inference_mode():
-        distances = vae(found.latent[None])[0, 0].cpu().numpy()
+        distances = tap("distances", vae(found.latent[None])[0, 0]).cpu().numpy()
     return level_set(distances, LEVEL, half_width=half_width, closed=True)
 
 
@@ -218,7 +220,7 @@ def interpret(found: Estimate, mesh: Mesh, axes: Array, seed: int) -> Hypothesis
     """The answer in the world frame, object axes turned by ``axes`` (3, 3): pose, mesh, points on
     it, and the box around these that has its centre at the origin."""
     mesh = Mesh(mesh.vertices @ axes.T, mesh.triangles)
-    points = sample_surface(mesh, POINT_COUNT, seed)
+    points = draw("sampled", sample_surface(mesh, POINT_COUNT, seed))
     return Hypothesis(
         rotation=Rotation.from_quat(found.quaternion.cpu().numpy()).as_matrix() @ axes.T,
         translation=found.position.cpu().numpy(),

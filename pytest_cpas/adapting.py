@@ -13,7 +13,7 @@ from pytest_cpas.reading.arrays import read_npy, read_npz
 from pytest_cpas.reading.checkpoints import read_tensors
 from pytest_cpas.reading.structured import read_yaml
 from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama, umeyama
-from pytest_cpas.stages import stage
+from pytest_cpas.stages import TorchTaps, draw, stage, tap
 from pytest_cpas.types import (
     CATEGORIES,
     EQUIVARIANCES,
@@ -62,6 +62,8 @@ __all__ = [
     "Prediction",
     "Similarity",
     "Symmetry",
+    "TorchTaps",
+    "draw",
     "import_open3d",
     "permute_extents",
     "read_npy",
@@ -71,6 +73,7 @@ __all__ = [
     "robust_umeyama",
     "sample_surface",
     "stage",
+    "tap",
     "umeyama",
 ]
 

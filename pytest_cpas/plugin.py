@@ -41,6 +41,11 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-profile": _METHOD,
     "--cpas-timeout": _METHOD,
     "--cpas-jitter": _METHOD,
+    "--cpas-trace": _METHOD,
+    "--cpas-trace-max": ("--cpas-trace",),
+    "--cpas-trace-spread": ("--cpas-trace",),
+    "--cpas-parity": _METHOD,
+    "--cpas-parity-map": ("--cpas-parity",),
     "--cpas-benchmark-against": ("--cpas-benchmark",),
     "--cpas-benchmark-fail": ("--cpas-benchmark",),
     "--cpas-against": ("--cpas-report",),
@@ -56,6 +61,8 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 EXAMPLES: Mapping[str, str] = {
     "--cpas-method": "--cpas-method icp --cpas-dataset synthetic-tabletop",
     "--cpas-benchmark": "--cpas-benchmark",
+    "--cpas-trace": "--cpas-trace DIR",
+    "--cpas-parity": "--cpas-parity git:HEAD~1",
     "--cpas-report": "--cpas-report DIR",
     "--cpas-results": "--cpas-results DIR",
     "--cpas-merge": "--cpas-merge FILE",
@@ -154,6 +161,10 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_cpas.session.speed_session import SpeedSession
 
         config.pluginmanager.register(SpeedSession(config), "cpas-speed-session")
+    if options.cpas_trace or options.cpas_parity:
+        from pytest_cpas.session.parity_session import ParitySession
+
+        config.pluginmanager.register(ParitySession(config), "cpas-parity-session")
     from pytest_cpas.session.guard import asked, watch
 
     if asked(options):

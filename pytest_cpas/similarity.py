@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.stages import draw
+
 Array = NDArray[np.float64]
 
 ITERATIONS = 128
@@ -79,7 +81,7 @@ def robust_umeyama(source: Array, target: Array, generator: np.random.Generator)
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise NoSimilarityError("the correspondences are not finite")
     diameter = 2 * np.linalg.norm(source - source.mean(axis=0), axis=1).max()
-    drawn = generator.integers(len(source), size=(ITERATIONS, DRAWN))
+    drawn = draw("ransac", generator.integers(len(source), size=(ITERATIONS, DRAWN)))
     hypotheses = umeyama(source[drawn], target[drawn])
     limit = hypotheses.scale[:, None] * diameter / 10
     inliers = hypotheses.residuals(source, target) < limit  # NaN is not

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from method_adapters._networks.attention import MultiHeadAttention
 from method_adapters._networks.heads import CategoryMlp, Deformed, at_pixels, pointwise
 from method_adapters._networks.pspnet import PSPNet
+from pytest_cpas.adapting import tap
 
 PRIOR_POINTS = 1024
 HEADS = 4
@@ -181,7 +182,7 @@ class CrNet(nn.Module):
         instance, shape = instance + instance_update, shape + shape_update
         assign, deltas = self._stage("", instance, shape, category)
         for stage in ("0", "1"):
-            encoded = self._encoded(stage, prior + deltas)
+            encoded = self._encoded(stage, tap("network.deformed", prior + deltas))
             instance, shape = torch.cat([encoded, instance], 1), torch.cat([encoded, shape], 1)
             more_assign, more_deltas = self._stage(stage, instance, shape, category)
             assign, deltas = assign @ more_assign, deltas + more_deltas

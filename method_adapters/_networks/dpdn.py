@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from method_adapters._networks.heads import CategoryMlp, at_pixels, first_layer, pointwise
 from method_adapters._networks.pointnet2 import PointNet2
 from method_adapters._networks.pspnet import BottleneckPSPNet
+from pytest_cpas.adapting import tap
 
 PRIOR_POINTS = 1024
 
@@ -141,7 +142,7 @@ class DpdnNet(nn.Module):
     ) -> DpdnOutput:
         """As :meth:`method_adapters._networks.spd.SpdNet.forward`."""
         centre = points.mean(1, keepdim=True)
-        points = points - centre
+        points = tap("network.centred", points - centre)
         colour = at_pixels(self.rgb_extractor(image), choose)
         local = self.pts_extractor(points)
         deformer, estimator = self.posenet.deformer, self.posenet.estimator

@@ -12,6 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pytest_cpas.adapting import tap
+
 #: Directions of a kernel, beside its centre.
 SUPPORTS = 7
 #: Neighbours that pooling looks at.
@@ -48,7 +50,7 @@ class Neighbourhood:
     (B, N, K, 3) to them."""
 
     def __init__(self, xyz: Tensor, count: int) -> None:
-        self.index = neighbours(xyz, count)
+        self.index = tap("network.neighbours", neighbours(xyz, count))
         self.directions = F.normalize(at_points(xyz, self.index) - xyz[:, :, None], dim=3)
 
     def pooled(self, features: Tensor, kept: Tensor) -> Tensor:

@@ -10,6 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pytest_cpas.adapting import tap
+
 CATEGORY_COUNT = 6
 
 
@@ -77,4 +79,4 @@ def first_layer(layer: Any, parts: Sequence[Tensor]) -> Tensor:
 def at_pixels(feature_map: Tensor, choose: Tensor) -> Tensor:
     """Features (B, C, N) of (B, C, H, W) at row-major pixel indices (B, N)."""
     flat = feature_map.flatten(2)
-    return flat.gather(2, choose[:, None].expand(-1, flat.shape[1], -1))
+    return tap("network.at_pixels", flat.gather(2, choose[:, None].expand(-1, flat.shape[1], -1)))

@@ -15,7 +15,7 @@ from method_adapters._assets import AssetError, told_of_asset
 from method_adapters._networks.icaps import CODE_SIZE, CROP_SIDE, AutoEncoder
 from method_adapters._networks.roi_align import roi_align
 from method_adapters._networks.running import full_precision
-from pytest_cpas.adapting import read_tensors
+from pytest_cpas.adapting import TorchTaps, read_tensors, tap
 
 Array = NDArray[np.float64]
 
@@ -82,11 +82,13 @@ class Matcher:
         image = torch.from_numpy(np.stack([depth, depth > 0]).astype(np.float32)).to(device)
         given = [torch.from_numpy(x.astype(np.float32)).to(device) for x in (rois, z, radius)]
         with torch.inference_mode(), full_precision():
-            codes = [
-                self._encoder(normalised_crops(image, *part))
-                for part in zip(*(torch.split(x, CHUNK) for x in given), strict=True)
-            ]
-            similarities = F.normalize(torch.cat(codes), dim=1) @ self.codebook.codes.T
+            first, *others = zip(*(torch.split(x, CHUNK) for x in given), strict=True)
+            # of the first part alone: what the layers make of all is too much
+            with TorchTaps(self._encoder, "encoder"):
+                parts = [self._encoder(tap("crops", normalised_crops(image, *first)))]
+            parts += [self._encoder(normalised_crops(image, *part)) for part in others]
+            codes: Tensor = tap("codes", F.normalize(torch.cat(parts), dim=1))
+            similarities = codes @ self.codebook.codes.T
             return similarities.cpu().numpy()
 
 

@@ -12,10 +12,13 @@ from torch import Tensor
 from method_adapters._networks.icaps import POINT_COUNT, DeepSdf, LatentNet, Shape
 from method_adapters._networks.pointnet2 import farthest_points
 from method_adapters._networks.running import full_precision
+from pytest_cpas.adapting import TorchTaps, tap
 
 Array = NDArray[np.float64]
 
 ROUNDS, STEPS, LEARNING_RATE = 3, 50, 0.002
+#: The parts of LatentNet that are tapped: what the layers within them make is too much.
+LEVELS = ("SA_modules.?", "cls_layer", "cls_layer.*")
 #: Signed distances count up to this, model units.
 CLAMP = 0.1
 #: First values of the rotation, where a norm would have no derivative at 0.
@@ -75,8 +78,10 @@ class Refiner:
 
     def shape_of(self, coordinates: Tensor) -> Shape:
         """The shape of an object seen at (4873, 3), model units."""
-        with torch.inference_mode(), full_precision():
-            (latent,) = self._latent_net(coordinates[None] / self._ratio)
+        taps = TorchTaps(self._latent_net, "latent_net", include=LEVELS)
+        with taps, torch.inference_mode(), full_precision():
+            (latent,) = self._latent_net(tap("coordinates", coordinates[None] / self._ratio))
+        tap("latent", latent)
         return Shape(self._decoder, latent)
 
     def __call__(self, points: Array, placed: Placed) -> tuple[Placed, Shape]:
@@ -142,7 +147,10 @@ class _Increment:
             loss = (self._counts * linear.clamp(-CLAMP, CLAMP).abs()).sum()
             (gradient,) = torch.autograd.grad(loss, self._vector)
             self._vector.grad = self._weights * gradient
+            tap("loss", loss)
+            tap("gradient", gradient)
             self._adam.step()
+            tap("increment", self._vector)
 
 
 def moved(points: Tensor, increment: Tensor) -> Tensor:

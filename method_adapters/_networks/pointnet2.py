@@ -15,6 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from pytest_cpas.adapting import tap
+
 #: Clouds up to this size are sampled with a table of all their distances, which is faster.
 TABLE_POINTS = 5000
 #: Distances that are computed together, so that they stay in the cache.
@@ -93,7 +95,7 @@ def sampled_levels(
         index = farthest_points(
             xyz, count, max_threads=max_threads, skip_radius_squared=skip_radius_squared
         )
-        indices.append(index)
+        indices.append(tap("network.sampled", index))
         xyz = gather(xyz.mT, index).mT
     return indices
 
@@ -194,7 +196,7 @@ class SetAbstraction(nn.Module):
         distances = squared_distances(centres, xyz)
         scales = []
         for radius, count, mlp in zip(self.radii, self.samples, self.mlps, strict=True):
-            index = ball_query(distances, radius, count)
+            index = tap("network.neighbours", ball_query(distances, radius, count))
             group = gather(xyz.mT, index) - centres.mT[..., None]
             if features is not None:
                 group = torch.cat([group, gather(features, index)], 1)
@@ -211,7 +213,7 @@ class FeaturePropagation(nn.Module):
 
     def forward(self, fine: Tensor, coarse: Tensor, skip: Tensor | None, up: Tensor) -> Tensor:
         """(B, N, 3), (B, M, 3), (B, C, N) and (B, C', M) to (B, C'', N)."""
-        features = interpolate(up, *three_nearest(fine, coarse))
+        features = tap("network.interpolated", interpolate(up, *three_nearest(fine, coarse)))
         if skip is not None:
             features = torch.cat([features, skip], 1)
         propagated: Tensor = self.mlp(features[..., None])[..., 0]

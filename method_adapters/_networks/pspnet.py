@@ -7,11 +7,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pytest_cpas.adapting import tap
+
 PYRAMID = (1, 2, 3, 6)
 
 
 def _resized(x: Tensor, size: tuple[int, int], align_corners: bool) -> Tensor:
-    return F.interpolate(x, size, mode="bilinear", align_corners=align_corners)
+    return tap(
+        "network.resized", F.interpolate(x, size, mode="bilinear", align_corners=align_corners)
+    )
 
 
 def _doubled(x: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from method_adapters._networks.gcn3d import (
     nearest,
 )
 from method_adapters._networks.heads import CATEGORY_COUNT, CategoryMlp, first_layer
+from pytest_cpas.adapting import tap
 
 #: Features of every point: of five levels, and the category.
 LOCAL = 128 + 128 + 256 + 256 + 512 + CATEGORY_COUNT
@@ -131,7 +132,7 @@ class RbpPoseNet(nn.Module):
         :meth:`Encoder.forward`."""
         net = self.posenet
         centre = points.mean(1, keepdim=True)
-        points = points - centre
+        points = tap("network.centred", points - centre)
         local, shared = net.pcl_encoder_obs(points, category, kept, kept_again)
         shared, colour = shared[..., None], points.new_zeros(len(points), COLOUR, 1)
         parts = [local.mT, shared, colour]

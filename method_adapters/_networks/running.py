@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from method_adapters._assets import AssetError, told_of_asset
-from pytest_cpas.adapting import read_tensors
+from pytest_cpas.adapting import TorchTaps, read_tensors
 
 #: Where published checkpoints keep the weights, if not at the top.
 NESTED = ("model", "state_dict", "aae_state_dict", "model_state_dict")
@@ -109,6 +109,6 @@ class Runner:
 
     def __call__(self, *inputs: NDArray[Any]) -> tuple[NDArray[np.float64], ...]:
         """The outputs for one batch of ``inputs``; always the same on one device."""
-        with torch.inference_mode(), full_precision():
+        with TorchTaps(self._network), torch.inference_mode(), full_precision():
             outputs = self._network(*(torch.from_numpy(x).to(self._device) for x in inputs))
             return tuple(output.double().cpu().numpy() for output in outputs)

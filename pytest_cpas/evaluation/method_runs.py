@@ -234,6 +234,10 @@ class MethodRun(Run):
         """One sample; :class:`DataError` if it is damaged."""
         return self._dataset.load(ref)
 
+    def unseen(self, ref: SampleRef) -> str:
+        """Why nothing is seen of a sample, so that its method is not asked; "" if something is."""
+        return self._dataset.unseen(ref) or ""
+
     @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample; raises :class:`DataError` if it is damaged."""

@@ -256,6 +256,37 @@ def add_options(parser: pytest.Parser) -> None:
         " 20%% or 0.2, than what it is timed against, or than recorded by --snapshot-update",
     )
     group.addoption(
+        "--cpas-trace",
+        metavar="DIR",
+        help="record what happens inside the method for each sample, into DIR: what it sees, the"
+        " values that it names by tap and draw, the answer; -k test_parity does that alone",
+    )
+    group.addoption(
+        "--cpas-trace-max",
+        metavar="MIB",
+        help="with --cpas-trace: keep about so many MiB of each sample; of larger values every"
+        " so-manyth number, and a digest (default: 64)",
+    )
+    group.addoption(
+        "--cpas-trace-spread",
+        action="store_true",
+        help="with --cpas-trace: measure the float noise of each value (other threads, a batch,"
+        " touched inputs, float64), which --cpas-parity then allows",
+    )
+    group.addoption(
+        "--cpas-parity",
+        metavar="REFERENCE",
+        help="compare with a folder of --cpas-trace, with another method (a registered name or"
+        " package.module:Class), or with the method itself in another revision (git:REVISION),"
+        " value by value, and say where the two part",
+    )
+    group.addoption(
+        "--cpas-parity-map",
+        metavar="FILE",
+        help="with --cpas-parity: a .toml file that says how the reference's values are called"
+        " here, and which draws are taken over from it",
+    )
+    group.addoption(
         "--cpas-list",
         action="store_true",
         help="print what is registered, which weights of the methods are there, and the protocols"

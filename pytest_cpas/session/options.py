@@ -33,8 +33,9 @@ class RunOptions:
     false alarm against a golden table of several seeds; ``protocols``: what is judged under, the
     paper's if None; ``timeout``: seconds that a prediction may take per sample, None for any;
     ``reuse_any``: whether rows in ``results`` serve that another program computed; ``save``: the
-    file, or the folder, for all answers; ``others`` are the files of the runs to compare with;
-    ``root``: the folder of the project.
+    file, or the folder, for all answers; ``trace``: the folder for traces, ``parity``: the one of
+    the traces to compare with, if they are recorded ones; ``others`` are the files of the runs to
+    compare with; ``root``: the folder of the project.
     """
 
     methods: Sequence[str] = ()
@@ -62,6 +63,8 @@ class RunOptions:
     results: Path | None = None
     reuse_any: bool = False
     save: Path | None = None
+    trace: Path | None = None
+    parity: Path | None = None
     report: Path | None = None
     others: Sequence[Path] = ()
     known_faults: Sequence[Path] = ()
@@ -113,6 +116,8 @@ class RunOptions:
             results=_path(here, options.cpas_results),
             reuse_any=options.cpas_results_reuse == "any",
             save=_path(here, options.cpas_save_predictions),
+            trace=_path(here, options.cpas_trace),
+            parity=_folder(here, options.cpas_parity),
             report=_path(here, options.cpas_report),
             others=_paths(here, options.cpas_against),
             known_faults=_paths(here, options.cpas_known_faults),
@@ -128,8 +133,8 @@ class RunOptions:
     def folders(self) -> list[Path]:
         """What is read or written and holds no code: data, weights, tables, results, answers and
         reports."""
-        read = (self.data, self.detections, self.weights, self.golden)
-        named = (*read, self.results, self.save, self.report)
+        read = (self.data, self.detections, self.weights, self.golden, self.parity)
+        named = (*read, self.results, self.save, self.trace, self.report)
         return [folder for folder in named if folder is not None]
 
     def check_written(self) -> None:
@@ -137,6 +142,7 @@ class RunOptions:
         named = {
             "--cpas-results": self.results,
             "--cpas-save-predictions": self._saved_into,
+            "--cpas-trace": self.trace,
             "--cpas-report": self.report,
             "--cpas-golden": self.golden if self.update else None,
         }
@@ -244,6 +250,11 @@ def _update(options: Namespace) -> bool:
 
 def _path(here: Path, name: str | None) -> Path | None:
     return here / name if name else None
+
+
+def _folder(here: Path, name: str | None) -> Path | None:
+    """The folder that a name is of, if there is one."""
+    return here / name if name and (here / name).is_dir() else None
 
 
 def _paths(here: Path, names: Sequence[str]) -> Sequence[Path]:

@@ -335,7 +335,7 @@ def alone(request, pytester):
         "--cpas-granularity": "=scene",
         "--cpas-results-reuse": "=any",
     }
-    plain = ("--cpas-require-golden", "--cpas-allow-gaps")
+    plain = ("--cpas-require-golden", "--cpas-allow-gaps", "--cpas-trace-spread")
     option = request.param
     return option, option + values.get(option, "" if option in plain else "=3")
 

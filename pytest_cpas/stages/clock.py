@@ -1,13 +1,22 @@
 """Naming the stages of a prediction, for an adapter that wants them timed.
 
-``with stage("network"):`` costs next to nothing unless ``--cpas-benchmark`` listens. The names
-that the field uses are pre-processing, network and post-processing; any other will do as well.
+``with stage("network"):`` costs next to nothing unless ``--cpas-benchmark`` or ``--cpas-trace``
+listens. The names that the field uses are pre-processing, network and post-processing; any other
+will do as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Protocol
+
+
+class Timed(Protocol):
+    """Who listens to stages."""
+
+    def timed(self, name: str) -> AbstractContextManager[None]:
+        """Enter a stage, and leave it."""
 
 
 class StageClock:
@@ -23,17 +32,9 @@ class StageClock:
         self._synchronise = synchronise
         self._inside = False
 
-    @contextmanager
-    def listening(self) -> Iterator[None]:
+    def listening(self) -> AbstractContextManager[None]:
         """Time the stages of this block; one clock at a time."""
-        global _clock
-        if _clock is not None:
-            raise RuntimeError("stages are being timed already")
-        _clock = self
-        try:
-            yield
-        finally:
-            _clock = None
+        return listening(self)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -52,15 +53,28 @@ class StageClock:
             self._inside = False
 
 
-_clock: StageClock | None = None
+_listener: Timed | None = None
 _NOBODY = nullcontext()
+
+
+@contextmanager
+def listening(listener: Timed) -> Iterator[None]:
+    """Tell ``listener`` of the stages of this block; one at a time."""
+    global _listener
+    if _listener is not None:
+        raise RuntimeError("stages are being timed already")
+    _listener = listener
+    try:
+        yield
+    finally:
+        _listener = None
 
 
 def stage(name: str) -> AbstractContextManager[None]:
     """This block is a stage of the prediction, such as ``network``."""
-    return _NOBODY if _clock is None else _clock.timed(name)
+    return _NOBODY if _listener is None else _listener.timed(name)
 
 
 def listener() -> StageClock | None:
     """Who times stages now, for a method that is told of its stages by another process."""
-    return _clock
+    return _listener if isinstance(_listener, StageClock) else None

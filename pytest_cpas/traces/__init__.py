@@ -1,0 +1,1 @@
+"""Traces of predictions, value by value, and the parity of two codes."""

@@ -1,0 +1,238 @@
+"""The parity of a method and a reference: what each sample shows, and the verdict on all."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pytest_cpas.traces.comparing import Comparison, Difference
+from pytest_cpas.types import Verdict, VerdictWord, some_of
+from pytest_cpas.types.samples import ALL
+
+__all__ = ["ParityWord", "SampleParity", "judge_parity"]
+
+#: Values around the first that parts, which are told.
+BEFORE, BEHIND = 3, 2
+
+
+class ParityWord(VerdictWord):
+    """What two codes come to."""
+
+    EXACT = "EXACT", "passed"
+    FLOAT_NOISE = "FLOAT NOISE", "passed"
+    PARTS = "PARTS AT", "failed"
+    NOT_COMPARED = "NOT COMPARED", "failed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleParity:
+    """What comparing one sample has shown.
+
+    ``place``: of the first value that parts, among the ``count`` that were compared; ``parting``:
+    how; ``around``: those beside it. ``noise``: the largest difference before it. ``replayed``:
+    what is found where the reference's draws are taken over, if that was tried. ``flips``: the
+    columns in which one of the two answers is correct and the other is not.
+    """
+
+    sample: str
+    count: int
+    exact: int
+    place: int | None = None
+    parting: Difference | None = None
+    noise: Difference | None = None
+    around: Sequence[Difference] = ()
+    fits: Sequence[str] = ()
+    near: Sequence[str] = ()
+    degrees: float | None = None
+    millimetres: float | None = None
+    flips: Sequence[str] = ()
+    only_here: tuple[int, str] = (0, "")
+    only_there: tuple[int, str] = (0, "")
+    replayed: str = ""
+
+    @classmethod
+    def of(
+        cls, sample: str, found: Comparison, flips: Sequence[str] = (), replayed: str = ""
+    ) -> SampleParity:
+        """What a comparison has shown."""
+        all_of = found.differences
+        place = next((i for i, each in enumerate(all_of) if each.word == "PARTS"), None)
+        upto = all_of if place is None else all_of[:place]
+        noisy = [each for each in upto if each.word == "FLOAT NOISE"]
+        around: Sequence[Difference] = ()
+        if place is not None:
+            around = all_of[max(place - BEFORE, 0) : place + 1 + BEHIND]
+        return cls(
+            sample=sample,
+            count=len(all_of),
+            exact=sum(each.word == "EXACT" for each in all_of),
+            place=place,
+            parting=found.parting,
+            noise=max(noisy, key=lambda each: each.relative, default=None),
+            around=around,
+            fits=found.explanation.fits,
+            near=found.explanation.near,
+            degrees=found.degrees,
+            millimetres=found.millimetres,
+            flips=flips,
+            only_here=(len(found.only_here), some_of(found.only_here)),
+            only_there=(len(found.only_there), some_of(found.only_there)),
+            replayed=replayed,
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values, which travel on test reports."""
+        told = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        for name in ("parting", "noise"):
+            told[name] = told[name] and told[name].plain()
+        told["around"] = [each.plain() for each in self.around]
+        for name in ("fits", "near", "flips", "only_here", "only_there"):
+            told[name] = list(told[name])
+        return told
+
+    @classmethod
+    def of_plain(cls, plain: Mapping[str, Any]) -> SampleParity:
+        """The inverse of :meth:`plain`."""
+        told = dict(plain)
+        for name in ("parting", "noise"):
+            told[name] = told[name] and Difference.of_plain(told[name])
+        told["around"] = [Difference.of_plain(each) for each in told["around"]]
+        for name in ("only_here", "only_there"):
+            told[name] = tuple(told[name])
+        return cls(**told)
+
+
+def judge_parity(samples: Sequence[SampleParity], reference: str, lacking: int = 0) -> Verdict:
+    """The verdict on all samples; its first line says where the two part.
+
+    ``reference``: what was compared with, in words; ``lacking``: samples of which it has no trace.
+    """
+    compared = [each for each in samples if each.count]
+    left = f"; {reference} has no trace of {lacking} other samples" if lacking else ""
+    if not compared:
+        why = f"{len(samples)} samples share no value with {reference}" if samples else "no sample"
+        return Verdict(
+            ParityWord.NOT_COMPARED,
+            ALL,
+            f"{why}{left}; name values by tap in both, or in a map (--cpas-parity-map)",
+        )
+    parted = [each for each in compared if each.parting is not None]
+    if parted:
+        return _parts(compared, parted, reference, left)
+    noise = max(
+        (each.noise for each in compared if each.noise),
+        key=lambda each: each.relative,
+        default=None,
+    )
+    values = sum(each.count for each in compared)
+    of_them = f"{values} values of {len(compared)} samples{left}"
+    if noise is None:
+        return _with_lines(ParityWord.EXACT, ALL, f"{of_them} are those of {reference}", compared)
+    exact = sum(each.exact for each in compared)
+    return _with_lines(
+        ParityWord.FLOAT_NOISE,
+        ALL,
+        f"{of_them}: {exact} are those of {reference} to the last bit; the largest relative"
+        f" difference is {noise.relative:.1e} at {noise.name}, of {noise.allowed:.1e} allowed",
+        compared,
+    )
+
+
+def _parts(
+    compared: Sequence[SampleParity],
+    parted: Sequence[SampleParity],
+    reference: str,
+    left: str,
+) -> Verdict:
+    first = min(each.place for each in parted if each.place is not None)
+    here = [each for each in parted if each.place == first]
+    name = Counter(_name(each) for each in here).most_common(1)[0][0]
+    here = [each for each in parted if _name(each) == name]
+    worst = max(here, key=lambda each: each.parting.relative if each.parting else 0)
+    parting = worst.parting
+    if parting is None:
+        raise ValueError("a sample that parts nowhere")
+    stage = f", in the stage {parting.stage}" if parting.stage else ""
+    drawn = ", which is drawn at random" if parting.kind == "draw" else ""
+    told = [
+        f"{_told(parting)}{drawn}{stage} ({worst.sample}); {len(here)} of {len(compared)} samples"
+        f" part from {reference} here{left}"
+    ]
+    told += [f"explained by: {words}" for words in _agreed([each.fits for each in here])]
+    if len(told) == 1:
+        told += [f"known of it: {words}" for words in _agreed([each.near for each in here])]
+        told.append("no usual mistake that was tried explains it")
+    if replays := {each.replayed for each in here if each.replayed}:
+        told += [f"with what {reference} has drawn: {words}" for words in sorted(replays)[:3]]
+    told += _effect(parted)
+    told.append("around it:")
+    told += [
+        f"  {each.word:11} {each.name}{'' if each.word == 'EXACT' else ': ' + _told(each)}"
+        for each in worst.around
+    ]
+    others = Counter(_name(each) for each in parted)
+    del others[name]
+    if others:
+        listed = ", ".join(f"{other} ({count})" for other, count in others.most_common(3))
+        told.append(f"other samples part first at: {listed}")
+    details = _with_lines(ParityWord.PARTS, name, "\n  ".join(told), compared)
+    return dataclasses.replace(details, subject=name)
+
+
+def _name(each: SampleParity) -> str:
+    """Where a sample parts, whichever call of it."""
+    return each.parting.name.partition(", call ")[0] if each.parting else ""
+
+
+def _told(difference: Difference) -> str:
+    """How large a difference is, in words."""
+    if difference.problem:
+        return difference.problem
+    at = f" at {list(difference.at)}" if difference.at else ""
+    return f"relative L2 {difference.relative:.1e}, the largest {difference.largest:.2g}{at}"
+
+
+def _agreed(said: Sequence[Sequence[str]]) -> list[str]:
+    """What is said of all samples, or of how many it is; numbers of single samples aside."""
+    count = Counter(words for each in said for words in each)
+    told = []
+    for words, times in count.most_common(3):
+        told.append(words if times == len(said) else f"{words} ({times} of {len(said)} samples)")
+    return told
+
+
+def _effect(parted: Sequence[SampleParity]) -> list[str]:
+    """What the difference does to the answers and to the outcome."""
+    lines = []
+    degrees = [each.degrees for each in parted if each.degrees is not None]
+    millimetres = [each.millimetres for each in parted if each.millimetres is not None]
+    if degrees:
+        lines.append(
+            f"answers: up to {max(degrees):.2g} deg and {max(millimetres):.2g} mm apart"
+            f" ({len(degrees)} of {len(parted)} samples that part have both)"
+        )
+    flips = Counter(column for each in parted for column in each.flips)
+    changed = sum(bool(each.flips) for each in parted)
+    listed = ", ".join(f"{column} {count}" for column, count in flips.most_common(4))
+    lines.append(
+        f"outcomes: of {changed} samples one is correct and the other is not ({listed})"
+        if changed
+        else "outcomes: correct at the same thresholds"
+    )
+    return lines
+
+
+def _with_lines(
+    word: ParityWord, subject: str, details: str, compared: Sequence[SampleParity]
+) -> Verdict:
+    """The verdict, with what one side alone names."""
+    lines = [details]
+    for attribute, side in (("only_here", "the method"), ("only_there", "the reference")):
+        most = max(compared, key=lambda each: getattr(each, attribute)[0])
+        number, names = getattr(most, attribute)
+        if number:
+            lines.append(f"named by {side} alone: {number}, such as {names}")
+    return Verdict(word, subject, "\n  ".join(lines))
