@@ -90,7 +90,7 @@ def refine(
     for step in range(iterations):
         optimizer.zero_grad()
         # of one step: a volume each is too much of all
-        with nullcontext() if step else TorchTaps(vae.decoder, "decoder"):
+        with nullcontext() if step else TorchTaps(vae, "vae"):
             sdf = vae(latent[None])[0, 0]
         rotation = rotation_matrix(quaternion)
         loss = torch.zeros_like(half_width)

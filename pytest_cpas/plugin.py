@@ -161,7 +161,7 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_cpas.session.speed_session import SpeedSession
 
         config.pluginmanager.register(SpeedSession(config), "cpas-speed-session")
-    if options.cpas_trace or options.cpas_parity:
+    if options.cpas_method and (options.cpas_trace or options.cpas_parity):
         from pytest_cpas.session.parity_session import ParitySession
 
         config.pluginmanager.register(ParitySession(config), "cpas-parity-session")

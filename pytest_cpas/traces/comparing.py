@@ -1,8 +1,7 @@
 """Two traces of one observation, value by value: where do they part?
 
 Two values are EXACT if they are equal to the last bit, FLOAT NOISE if they differ by no more than
-two right codes may, and else they PART. Numbers that are no real ones must be equal, unless it was
-measured that float noise changes them.
+two right codes may, and else they PART. Numbers that are no real ones must be equal.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ WITHOUT_MEAN = 10.0
 Word = Literal["EXACT", "FLOAT NOISE", "PARTS"]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class Difference:
     """How a value differs from the reference's.
 
@@ -66,12 +65,14 @@ class Difference:
 class Comparison:
     """What comparing a sample's traces has shown.
 
-    ``differences``: of the values that both name, in the reference's order; ``only_here`` and
+    ``differences``: of the values that both name, in the reference's order; ``open``: the first
+    that differs where two right codes may, from which on nothing is compared; ``only_here`` and
     ``only_there``: what one side alone names; ``explanation``: of the first that parts;
     ``degrees``, ``millimetres``: how far the two answers are apart, None where one of them is none.
     """
 
     differences: Sequence[Difference]
+    open: str = ""
     only_here: Sequence[str] = ()
     only_there: Sequence[str] = ()
     explanation: Explanation = field(default_factory=Explanation)
@@ -93,13 +94,18 @@ def compare(here: Trace, reference: Trace, replayed: Collection[str] = ()) -> Co
     ours = here.by_key()
     differences: list[Difference] = []
     pairs: list[tuple[Value, Value]] = []
+    left_open = ""
     for theirs in reference.values:
         own = ours.get(theirs.key)
         if own is None or (theirs.kind == "draw" and theirs.name in replayed):
             continue
+        found = difference(own, theirs)
+        if theirs.is_open and found.word != "EXACT":
+            left_open = theirs.told
+            break
         pairs.append((own, theirs))
-        differences.append(difference(own, theirs))
-    if reference.reason is not None or here.reason is not None:
+        differences.append(found)
+    if not left_open and (reference.reason is not None or here.reason is not None):
         differences.append(_outcome(here, reference))
     first = next((i for i, each in enumerate(differences) if each.word == "PARTS"), None)
     explanation = Explanation()
@@ -109,6 +115,7 @@ def compare(here: Trace, reference: Trace, replayed: Collection[str] = ()) -> Co
     degrees, millimetres = _apart(here, reference)
     return Comparison(
         differences=differences,
+        open=left_open,
         only_here=[v.told for v in here.values if v.key not in names],
         only_there=[v.told for v in reference.values if v.key not in ours],
         explanation=explanation,
@@ -156,11 +163,11 @@ def difference(own: Value, theirs: Value) -> Difference:
 
 
 def allowed_of(reference: Value) -> float:
-    """The relative difference that two right codes may have at a value of the reference: at
-    integers, such as chosen indices, none unless it was measured."""
-    if reference.spread is None:
-        return NOISE if reference.is_real else 0.0
-    return max(MARGIN * reference.spread, LEAST if reference.is_real else 0.0)
+    """The relative difference that two right codes may have at a value of the reference; at
+    integers, such as chosen indices, none."""
+    if not reference.is_real:
+        return 0.0
+    return NOISE if reference.spread is None else max(MARGIN * reference.spread, LEAST)
 
 
 def relative_difference(a: Array, b: Array) -> float:

@@ -61,8 +61,8 @@ def explain(own: Value, theirs: Value, before: Sequence[tuple[Value, Value]] = (
         count = int(np.count_nonzero(~np.isfinite(a)))
         return Explanation(near=[f"{count} of its {a.size} numbers are not finite"])
     earlier = _earlier(before)
-    for ask in (_rearranged, _of_others, _rescaled, _per_channel):
-        fits = [*dict.fromkeys(words for words in ask(a, b, earlier) if words)]
+    for alike in ((_rearranged,), (_of_others, _rescaled), (_per_channel,)):
+        fits = [*dict.fromkeys(words for ask in alike for words in ask(a, b, earlier))]
         if fits:
             return Explanation(fits=fits)
     if rounded := _rounded(own.kept, theirs.kept):
@@ -71,10 +71,15 @@ def explain(own: Value, theirs: Value, before: Sequence[tuple[Value, Value]] = (
 
 
 def _earlier(before: Sequence[tuple[Value, Value]]) -> list[tuple[str, Real]]:
-    """The last values before it that are whole and hold numbers, the nearest first."""
+    """The last values before it that are whole and hold numbers, the nearest first; of several that
+    are the same, one."""
     found: list[tuple[str, Real]] = []
+    seen: set[str] = set()
     left = MOST_BEFORE_NUMBERS
     for own, _ in reversed(before):
+        if own.digest in seen:
+            continue
+        seen.add(own.digest)
         left -= own.size
         if left < 0 or len(found) == MOST_BEFORE:
             break

@@ -1,7 +1,9 @@
 """Traces in files: of each sample one of JSON lines, which says what there is, and one ``.npz``.
 
 The first line is about the trace; each other line is about one value, in their order, and names its
-array in the ``.npz``. The file of lines is written last: where it is, the sample is whole.
+array in the ``.npz``; values that are the same share one. Where there is no ``call`` it is the
+first, without ``stride`` the array is whole; nothing is compared from an ``open`` value on. The
+file of lines is written last: where it is, the sample is whole.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,9 +26,9 @@ from pytest_cpas.reading.files import read_bytes
 from pytest_cpas.reading.paths import matching
 from pytest_cpas.reading.schemas import check_schema
 from pytest_cpas.reading.structured import json_value
-from pytest_cpas.traces.recording import MOST_VALUES, Trace
+from pytest_cpas.traces.recording import MOST_VALUES, Trace, answer_of
 from pytest_cpas.traces.values import KINDS, Value
-from pytest_cpas.types import DataError
+from pytest_cpas.types import ContractError, DataError, message_of
 
 __all__ = ["DEFAULT_MOST", "LARGEST_MOST", "Header", "TracedSample", "read_sample", "write_sample"]
 
@@ -64,10 +67,11 @@ _VALUE: Mapping[str, Any] = {
         "stride": {"type": "integer", "minimum": 1},
         "digest": {"type": "string"},
         "norm": {"type": ["number", "null"]},
-        "spread": {"type": ["number", "null"]},
+        "spread": {"type": "number", "minimum": 0},
+        "open": {"const": True},
         "array": {"type": "string"},
     },
-    "required": ["name", "call", "kind", "stage", "shape", "stride", "digest", "norm", "array"],
+    "required": ["name", "kind", "shape", "digest", "norm", "array"],
 }
 
 
@@ -108,19 +112,22 @@ def write_sample(folder: Path, header: Header, trace: Trace) -> int:
     values = fitting(trace.values, header.most)
     lines: list[dict[str, Any]] = [{"format": FORMAT, **vars(header), "reason": trace.reason}]
     arrays: dict[str, Any] = {}
-    for index, value in enumerate(values):
-        arrays[name := f"{index:04d}"] = value.kept
+    known: dict[tuple[str, int], str] = {}
+    for value in values:
+        # a block returns what its last part returned
+        name = known.setdefault((value.digest, value.stride), f"{len(known):04d}")
+        arrays.setdefault(name, value.kept)
         lines.append(
             {
                 "name": value.name,
-                "call": value.call,
+                **({"call": value.call} if value.call > 1 else {}),
                 "kind": value.kind,
-                "stage": value.stage,
+                **({"stage": value.stage} if value.stage else {}),
                 "shape": list(value.shape),
-                "stride": value.stride,
+                **({} if value.is_whole else {"stride": value.stride}),
                 "digest": value.digest,
                 "norm": value.norm,
-                "spread": value.spread,
+                **({} if value.spread is None else _spread(value.spread)),
                 "array": name,
             }
         )
@@ -134,6 +141,10 @@ def write_sample(folder: Path, header: Header, trace: Trace) -> int:
     write_file(folder / f"{stem}.npz", packed.getvalue())
     write_file(listed, text)
     return len(packed.getvalue()) + len(text)
+
+
+def _spread(spread: float) -> dict[str, Any]:
+    return {"open": True} if spread == math.inf else {"spread": spread}
 
 
 def fitting(values: Sequence[Value], most: int) -> list[Value]:
@@ -174,10 +185,12 @@ def read_sample(path: Path) -> TracedSample:
     if len({value.key for value in values}) < len(values):
         raise DataError(f"{path}: a name is there twice with the same call")
     fields = {name: head[name] for name in Header.__dataclass_fields__ if name in head}
-    return TracedSample(
-        header=Header(**fields),
-        trace=Trace(values=values, reason=head["reason"]),
-    )
+    trace = Trace(values=values, reason=head["reason"])
+    try:
+        answer_of(trace)
+    except (ContractError, TypeError, ValueError) as error:
+        raise DataError(f"{path}: its answer is none: {message_of(error)}") from error
+    return TracedSample(header=Header(**fields), trace=trace)
 
 
 def read_header(path: Path) -> Header:
@@ -217,15 +230,16 @@ def _value(where: str, told: Mapping[str, Any], arrays: Mapping[str, Any]) -> Va
     size = 1
     for length in shape:
         size *= length
-    stride = told["stride"]
+    stride = told.get("stride", 1)
     expected = shape if stride == 1 else (-(-size // stride),)
     if kept.shape != expected:
         raise DataError(f"{where}: {kept.shape} in the .npz, expected {expected}")
-    names = ("name", "call", "kind", "stage", "digest", "norm")
     return Value(
-        **{name: told[name] for name in names},
+        **{name: told[name] for name in ("name", "kind", "digest", "norm")},
+        call=told.get("call", 1),
+        stage=told.get("stage", ""),
         kept=kept,
         shape=shape,
         stride=stride,
-        spread=told.get("spread"),
+        spread=math.inf if told.get("open") else told.get("spread"),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_cpas.traces.comparing import Comparison, Difference
@@ -21,9 +21,13 @@ BEFORE, BEHIND = 3, 2
 class ParityWord(VerdictWord):
     """What two codes come to."""
 
+    #: Every value that both name is the same to the last bit.
     EXACT = "EXACT", "passed"
+    #: They differ by no more than two right codes may.
     FLOAT_NOISE = "FLOAT NOISE", "passed"
+    #: Here they differ by more, and everything before it agrees; the name follows.
     PARTS = "PARTS AT", "failed"
+    #: There is no value that both name, or no sample.
     NOT_COMPARED = "NOT COMPARED", "failed"
 
 
@@ -32,8 +36,9 @@ class SampleParity:
     """What comparing one sample has shown.
 
     ``place``: of the first value that parts, among the ``count`` that were compared; ``parting``:
-    how; ``around``: those beside it. ``noise``: the largest difference before it. ``replayed``:
-    what is found where the reference's draws are taken over, if that was tried. ``flips``: the
+    how; ``around``: those beside it. ``noise``: the largest difference before it. ``open``: from
+    where on nothing was compared. ``replayed``: what is found where the reference's draws are taken
+    over, if that was tried. ``flips``: the
     columns in which one of the two answers is correct and the other is not.
     """
 
@@ -43,12 +48,13 @@ class SampleParity:
     place: int | None = None
     parting: Difference | None = None
     noise: Difference | None = None
-    around: Sequence[Difference] = ()
-    fits: Sequence[str] = ()
-    near: Sequence[str] = ()
+    around: Sequence[Difference] = field(default_factory=list)
+    fits: Sequence[str] = field(default_factory=list)
+    near: Sequence[str] = field(default_factory=list)
     degrees: float | None = None
     millimetres: float | None = None
-    flips: Sequence[str] = ()
+    flips: Sequence[str] = field(default_factory=list)
+    open: str = ""
     only_here: tuple[int, str] = (0, "")
     only_there: tuple[int, str] = (0, "")
     replayed: str = ""
@@ -62,9 +68,9 @@ class SampleParity:
         place = next((i for i, each in enumerate(all_of) if each.word == "PARTS"), None)
         upto = all_of if place is None else all_of[:place]
         noisy = [each for each in upto if each.word == "FLOAT NOISE"]
-        around: Sequence[Difference] = ()
+        around: list[Difference] = []
         if place is not None:
-            around = all_of[max(place - BEFORE, 0) : place + 1 + BEHIND]
+            around = [*all_of[max(place - BEFORE, 0) : place + 1 + BEHIND]]
         return cls(
             sample=sample,
             count=len(all_of),
@@ -73,11 +79,12 @@ class SampleParity:
             parting=found.parting,
             noise=max(noisy, key=lambda each: each.relative, default=None),
             around=around,
-            fits=found.explanation.fits,
-            near=found.explanation.near,
+            fits=[*found.explanation.fits],
+            near=[*found.explanation.near],
             degrees=found.degrees,
             millimetres=found.millimetres,
-            flips=flips,
+            flips=[*flips],
+            open=found.open,
             only_here=(len(found.only_here), some_of(found.only_here)),
             only_there=(len(found.only_there), some_of(found.only_there)),
             replayed=replayed,
@@ -128,15 +135,17 @@ def judge_parity(samples: Sequence[SampleParity], reference: str, lacking: int =
         default=None,
     )
     values = sum(each.count for each in compared)
-    of_them = f"{values} values of {len(compared)} samples{left}"
+    of_them = f"{values} values of {len(compared)} samples"
     if noise is None:
-        return _with_lines(ParityWord.EXACT, ALL, f"{of_them} are those of {reference}", compared)
+        told = f"{of_them} are those of {reference}{left}"
+        return _with_lines(ParityWord.EXACT, ALL, told, compared)
     exact = sum(each.exact for each in compared)
     return _with_lines(
         ParityWord.FLOAT_NOISE,
         ALL,
         f"{of_them}: {exact} are those of {reference} to the last bit; the largest relative"
-        f" difference is {noise.relative:.1e} at {noise.name}, of {noise.allowed:.1e} allowed",
+        f" difference is {noise.relative:.1e} at {noise.name}, of {noise.allowed:.1e} allowed"
+        f"{left}",
         compared,
     )
 
@@ -230,6 +239,11 @@ def _with_lines(
 ) -> Verdict:
     """The verdict, with what one side alone names."""
     lines = [details]
+    if left_open := [each for each in compared if each.open]:
+        lines.append(
+            f"of {len(left_open)} samples nothing is compared from {left_open[0].open} on: float"
+            " noise makes another choice there"
+        )
     for attribute, side in (("only_here", "the method"), ("only_there", "the reference")):
         most = max(compared, key=lambda each: getattr(each, attribute)[0])
         number, names = getattr(most, attribute)

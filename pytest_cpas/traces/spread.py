@@ -7,6 +7,7 @@ rounding alone.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -46,10 +47,16 @@ def with_spread(
         except Exception as error:
             told[name] = f"not possible: {words_of(error)}"
             continue
-        found = _spread(trace, other)
+        found, changed = _spread(trace, other)
         told[name] = f"{max(found.values(), default=0.0):.1e}"
+        if changed:
+            told[name] += f" before {changed}, where another choice is made"
         for key, size in found.items():
             spread[key] = max(spread.get(key, 0.0), size)
+        # touched inputs are not the very same ones
+        if changed and name != "noise":
+            told[name] += ", so that nothing is compared from there on"
+            spread |= dict.fromkeys(_from(trace, changed), math.inf)
     values = [
         value.replaced(spread=spread[value.key]) if value.key in spread else value
         for value in trace.values
@@ -65,19 +72,34 @@ def check_wide(trace: Trace) -> None:
         raise ValueError(", ".join(f"{name}: {why}" for name, why in problems.items()))
 
 
-def _spread(trace: Trace, other: Trace) -> dict[tuple[str, int], float]:
-    """The relative difference of each value that can be compared; not of what is drawn."""
-    theirs, found = other.by_key(), {}
+def _spread(trace: Trace, other: Trace) -> tuple[dict[tuple[str, int], float], str]:
+    """The relative difference of each real value that can be compared, not of what is drawn.
+
+    Where float noise has changed an integer, a choice, what follows is about something else and is
+    no noise: the value's name, and nothing from there on.
+    """
+    theirs, found = other.by_key(), dict[tuple[str, int], float]()
     for value in trace.values:
         again = theirs.get(value.key)
-        if again is None or value.kept.dtype.kind == "U" or value.kind not in ("tap", "answer"):
+        if again is None or value.kind not in ("tap", "answer"):
             continue
         array = _first_of_batch(again, value)
-        if array is not None:
-            size = relative_difference(array, value.kept)
-            if np.isfinite(size):
-                found[value.key] = size
-    return found
+        if array is None:
+            continue
+        if not value.is_real:
+            if value.kept.dtype.kind in "iub" and not np.array_equal(array, value.kept):
+                return found, value.told
+            continue
+        size = relative_difference(array, value.kept)
+        if np.isfinite(size):
+            found[value.key] = size
+    return found, ""
+
+
+def _from(trace: Trace, told: str) -> list[tuple[str, int]]:
+    """The values of a trace from one on."""
+    names = [value.told for value in trace.values]
+    return [value.key for value in trace.values[names.index(told) :]]
 
 
 def _first_of_batch(again: Value, value: Value) -> Array | None:

@@ -33,7 +33,7 @@ class Value:
     ``kept``: the array, or with a ``stride`` above 1 every so-manyth of its numbers (N,).
     ``shape``, ``digest`` and ``norm`` are of the whole; the norm is None where it is no finite
     number. ``spread``: the largest relative difference that was measured between right answers of
-    one code, None where it was not.
+    one code, None where it was not, infinite where float noise has made another choice before.
     """
 
     name: str
@@ -75,6 +75,11 @@ class Value:
     def is_whole(self) -> bool:
         """Whether all numbers are kept."""
         return self.stride == 1
+
+    @property
+    def is_open(self) -> bool:
+        """Whether two right codes may differ in it by anything."""
+        return self.spread == math.inf
 
     @property
     def is_real(self) -> bool:

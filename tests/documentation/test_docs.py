@@ -36,6 +36,7 @@ from pytest_cpas.cli import main
 from pytest_cpas.golden.words import Word
 from pytest_cpas.metrics import DEFINITIONS
 from pytest_cpas.timing.verdicts import SpeedWord
+from pytest_cpas.traces.parity import ParityWord
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BY_ENVIRONMENT = ("cpas_data", "cpas_weights")
@@ -45,6 +46,7 @@ ELSEWHERE = {
     "cpas_examples": str(DEFAULT_EXAMPLES),
     "cpas_golden": "ini cpas_golden, else golden/ in the root directory",
     "cpas_timeout": "ini cpas_timeout, else any time",
+    "cpas_trace_max": "64",
 }
 
 
@@ -215,6 +217,7 @@ def test_verdicts():
     page = text("reference/verdicts.md")
     assert column(page, "verdict") == [word.value for word in Word]
     assert column(page, "verdict on speed") == [word.value for word in SpeedWord]
+    assert column(page, "verdict on parity") == [word.value for word in ParityWord]
     for words in (DatasetWord, Outcome):
         assert all(f"| {word.value} |" in page for word in words)
     page = page.partition("## On the speed")[0]

@@ -715,6 +715,54 @@ def of(module: str, function: str, *arguments: object) -> Callable[[Path], objec
     return run
 
 
+TRACE_HEAD = {
+    "format": "pytest-cpas trace 1", "method": "m", "dataset": "d", "sample": "s/0",
+    "category": "mug", "seed": 0, "most": 1000, "identity": {"data": "x"}, "provenance": {},
+    "spread_of": {"batch": "0"}, "reason": None,
+}  # fmt: skip
+TRACE_VALUES = {
+    "0000": ("observation.depth", "observation", [4, 5], 1),
+    "0001": ("network.x", "tap", [3, 7], 2),
+    "0002": ("picked", "draw", [6], 1),
+    "0003": ("answer.rotation", "answer", [3, 3], 1),
+    "0004": ("answer.translation", "answer", [3], 1),
+}
+PARITY_MAP = (
+    b'replay = ["picked"]\n[[values]]\nreference = "a.b"\nhere = "c"\ntake = [0, 2]\naxis = 1\n'
+    b'transpose = [1, 0]\nreshape = [6]\nquaternion = "scalar-first"\n'
+)
+
+
+def trace_arrays() -> dict[str, Any]:
+    shapes = {name: shape for name, (_, _, shape, _) in TRACE_VALUES.items()} | {"0001": [11]}
+    return {name: np.ones(shape, np.float32) for name, shape in shapes.items()} | {
+        "0003": np.eye(3)
+    }
+
+
+def trace_lines() -> list[bytes]:
+    lines = [TRACE_HEAD]
+    for array, (name, kind, shape, stride) in TRACE_VALUES.items():
+        lines.append(
+            {"name": name, "call": 1, "kind": kind, "stage": "network", "shape": shape,
+             "stride": stride, "digest": "00", "norm": 1.0, "spread": None, "array": array}
+        )  # fmt: skip
+    return ["".join(json.dumps(line) + "\n" for line in lines).encode()]
+
+
+def traced(path: Path) -> None:
+    """A damaged trace beside sound arrays, compared with itself and with what has no values."""
+    from pytest_cpas.traces.comparing import compare
+    from pytest_cpas.traces.files import read_sample
+    from pytest_cpas.traces.recording import Trace
+
+    np.savez(path.with_suffix(".npz"), **trace_arrays())
+    trace = read_sample(path).trace
+    other = Trace(values=[value.replaced(digest="other") for value in trace.values])
+    for each in (trace, other, Trace(values=[])):
+        compare(trace, each)
+
+
 def own_errors() -> tuple[type[Exception], ...]:
     from pytest_cpas.evaluation import ResultsError
     from pytest_cpas.golden import GoldenError
@@ -813,6 +861,9 @@ READERS: dict[str, Reader] = {
                     mutations=TEXT),
     "speed": Reader(of("pytest_cpas.timing.records", "read_record"), lambda: [SPEED],
                     mutations=TEXT),
+    "trace": Reader(traced, trace_lines, ".jsonl", mutations=(leaf_of_line, leaf_of_line, *TEXT)),
+    "parity map": Reader(of("pytest_cpas.traces.maps", "read_map"), lambda: [PARITY_MAP], ".toml",
+                         mutations=TEXT),
     "report": Reader(reported, lambda: [a_report(), b'{"format": 2, "runs": []}', JSON], ".json",
                      mutations=(leaf, leaf, leaf, *TEXT),
                      covers=("schemas.check_schema",)),

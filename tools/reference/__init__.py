@@ -40,6 +40,7 @@ PARTS = {
     "readme": files.readme,
     "schema": files.schema,
     "speed-words": verdicts.speed_words,
+    "parity-words": verdicts.parity_words,
 }
 
 _MARKER = re.compile(r"^<!-- reference: (\S+)(.*) -->$", re.MULTILINE)

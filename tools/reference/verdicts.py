@@ -8,6 +8,7 @@ from pytest_cpas.checks.dataset.verdicts import DatasetWord
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.golden.words import Word
 from pytest_cpas.timing.verdicts import SpeedWord
+from pytest_cpas.traces.parity import ParityWord
 from pytest_cpas.types import VerdictWord
 from reference.code import doc_comments
 from reference.markdown import code, table
@@ -28,6 +29,11 @@ def golden_words() -> str:
 def speed_words() -> str:
     """The verdicts on a method's speed."""
     return _verdicts("verdict on speed", SpeedWord)
+
+
+def parity_words() -> str:
+    """The verdicts on two codes."""
+    return _verdicts("verdict on parity", ParityWord)
 
 
 def _verdicts(head: str, words: type[VerdictWord]) -> str:

@@ -1,0 +1,58 @@
+"""Every port against a recorded trace of itself, and the stage at which planted faults are."""
+
+import itertools
+
+import cases
+import parity_cases
+import pytest
+
+from pytest_cpas.traces.comparing import compare
+from pytest_cpas.traces.parity import ParityWord, SampleParity, judge_parity
+
+FAULTS = [
+    pytest.param(*fault, id=f"{family}-{fault[0]}-{fault[1]}")
+    for family, faults in parity_cases.FAULTS.items()
+    for fault in faults
+]
+
+
+def verdict(own, theirs):
+    return judge_parity([SampleParity.of("case", compare(own, theirs))], "the reference")
+
+
+#: iCaps takes its time.
+NAMES = [
+    pytest.param(name, marks=pytest.mark.minutes) if name == "icaps" else name
+    for name in parity_cases.NAMES
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_port_is_as_recorded(name):
+    found = verdict(parity_cases.trace(name), parity_cases.recorded(name).trace)
+    assert found.word in (ParityWord.EXACT, ParityWord.FLOAT_NOISE), str(found)
+    # every value of the trace is still named
+    assert "named by the reference alone" not in found.details, str(found)
+
+
+def test_thirty_faults():
+    assert [len(faults) for faults in parity_cases.FAULTS.values()] == [10, 10, 10]
+    faults = itertools.chain.from_iterable(parity_cases.FAULTS.values())
+    assert {fault[0] for fault in faults} == set(parity_cases.NAMES)
+
+
+@pytest.mark.minutes
+@pytest.mark.parametrize(("name", "fault", "plant", "place"), FAULTS)
+def test_fault_is_located(monkeypatch, name, fault, plant, place):
+    theirs = parity_cases.reference(name)
+    plant(monkeypatch.setattr)
+    first = str(verdict(parity_cases.trace(name), theirs)).partition("\n")[0]
+    assert first.startswith(f"PARTS AT {place}: "), first
+
+
+def test_fault_is_located_by_the_recorded_trace(monkeypatch):
+    """Thinned as that is."""
+    cases.network("spd")
+    parity_cases.aligned_corners(monkeypatch.setattr)
+    found = verdict(parity_cases.trace("spd"), parity_cases.recorded("spd").trace)
+    assert str(found).startswith("PARTS AT network.resized: ")
