@@ -1,6 +1,7 @@
 """Every task of the project, each in an environment of its own: ``nox -s demo``, ``nox -l``."""
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -103,6 +104,29 @@ def ports(session: nox.Session) -> None:
         env=ENV | {"PYTHONPATH": "tests/ports"},
     )
     session.run("pytest", "tests/ports", env=ENV)
+
+
+#: Interpreters, and a numpy of their time.
+INTERPRETERS = {"python3.6": "numpy==1.13.3", "python3.8": "numpy==1.24.4", "pypy3": "numpy<2"}
+
+
+@nox.session
+def interpreters(session: nox.Session) -> None:
+    """The worker in interpreters of long ago, each with numpy: those that are named, or on the path
+    (``nox -s interpreters -- /opt/python3.6/bin/python3.6``)."""
+    install(session, "-e", ".", "--group", "test")
+    session.install("vermin==1.9.2")
+    worker = "pytest_cpas/remote/worker.py"
+    session.run("vermin", "-t=3.6-", "--eval-annotations", "--violations", "--no-tips", worker)
+    made = []
+    for path in session.posargs or filter(shutil.which, INTERPRETERS):
+        folder = Path(session.create_tmp()) / Path(path).name
+        session.run(path, "-m", "venv", "--clear", str(folder), external=True)
+        made.append(str(folder / "bin" / "python"))
+        numpy = INTERPRETERS.get(Path(path).name, "numpy")
+        session.run(made[-1], "-m", "pip", "install", "-q", numpy, external=True)
+    env = {"CPAS_TEST_INTERPRETERS": os.pathsep.join(made)}
+    session.run("pytest", "tests/remote/test_interpreters.py", env=ENV | env)
 
 
 @nox.session

@@ -52,6 +52,8 @@ _MOST_FILES, _WHOLE, _ALL = 20000, 2**23, 2**28
 #: What an answer may hold, and what of it is numbers.
 _PARTS = ("rotation", "translation", "extents", "points", "vertices", "triangles", "score")
 
+_IS_PYPY = platform.python_implementation() == "PyPy"
+
 _SET_PIPE_SIZE, _PIPE_SIZE = 1031, 2**20  # Linux; the system's own size is 64 KiB
 
 
@@ -76,7 +78,10 @@ class Line:
 
             for dtype, shape in header["arrays"]:
                 array = np.empty(shape, dtype)
-                if array.size:
+                if array.size and _IS_PYPY:  # which cannot read into the memory of an array
+                    content = self._read(bytearray(array.nbytes))
+                    array = np.frombuffer(content, dtype).reshape(shape)
+                elif array.size:
                     self._read(array.reshape(-1).view(np.uint8).data)
                 arrays.append(array)
         self._read(bytearray(len(self._token)))
@@ -652,7 +657,7 @@ def _forget_in_copies(*descriptors: int) -> None:
                 os.close(each)
 
     if hasattr(os, "register_at_fork"):  # 3.7
-        os.register_at_fork(after_in_child=forget)
+        os.register_at_fork(after_in_child=forget)  # novermin
 
 
 def _set_process_option(number: int, value: int) -> None:

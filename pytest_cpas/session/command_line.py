@@ -18,7 +18,9 @@ def add_options(parser: pytest.Parser) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="method to run: a registered name or package.module:Class (repeatable)",
+        help="method to run: a registered name, package.module:Class, or one in another"
+        " interpreter, which pyproject.toml or cpas-methods.toml names, or"
+        " exec:COMMAND#module:Class (repeatable)",
     )
     group.addoption(
         "--cpas-dataset",

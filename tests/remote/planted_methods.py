@@ -258,6 +258,16 @@ class ChangesInput(Good):
         return super().predict(batch, seed)
 
 
+class Elsewhere(Good):
+    """Of another side, where only what is named is to be found."""
+
+    def load(self, assets, device):
+        with open(str(assets / "w.bin"), "rb") as file:
+            assert file.read() == b"weights"
+        assert os.environ["WIDTH"] == "3"
+        assert "ONLY_HERE" not in os.environ
+
+
 class Staged(Good):
     def right(self):
         from cpas_worker import stage

@@ -1,0 +1,60 @@
+"""The worker in every other Python that is on this machine, from 3.6 on.
+
+``CPAS_TEST_INTERPRETERS`` names more, separated as in PATH; ``nox -s interpreters`` makes some that
+have a numpy of their time.
+"""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import planted_methods
+import pytest
+import tiny
+import workers
+
+from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.remote import RaisedThereError, remote_method
+
+NAMES = ("pypy3", *(f"python3.{minor}" for minor in range(6, 20)))
+
+
+def interpreters() -> dict[str, str]:
+    """Those that are named, those of pyenv, those on the path; by what they are called."""
+    named = filter(None, os.environ.get("CPAS_TEST_INTERPRETERS", "").split(os.pathsep))
+    folder = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    there = sorted(folder.glob("3.*/bin/python"))
+    there = [path for path in there if int(path.parts[-3].split(".")[1]) >= 6]
+    # pyenv's own commands run whichever version it thinks of
+    on_path = [shutil.which(name) for name in NAMES]
+    found = [*named, *map(str, there), *(path for path in on_path if path and "shims" not in path)]
+    return {str(Path(*Path(path).parts[-3:])): path for path in found}
+
+
+FOUND = interpreters()
+
+
+@pytest.mark.parametrize("path", FOUND.values(), ids=list(FOUND))
+def test_worker_answers(path):
+    """With the method, where there is a numpy; else with what is lacking."""
+    asked = workers.spec(command=(path,))
+    lacking = ""
+    try:
+        kind = remote_method(asked)
+    except RaisedThereError as error:
+        lacking = str(error)
+    if lacking:
+        assert re.search("cannot be loaded there: .*No module named 'numpy'", lacking)
+    else:
+        run = MethodRun(kind(), tiny.Tiny(None))
+        here = planted_methods.Good().right()
+        method = run.loaded()
+        seen = run.read(run.samples[0]).observation
+        [answer] = method.predict([seen, seen], 0)[1].hypotheses
+        assert np.array_equal(answer.points, here["points"])
+        assert np.array_equal(answer.rotation, here["rotation"])
+        assert np.array_equal(answer.extents, here["extents"])
+        kind.remote.close()
+    assert workers.left_of(asked) == []
