@@ -46,6 +46,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-trace-spread": ("--cpas-trace",),
     "--cpas-parity": _METHOD,
     "--cpas-parity-map": ("--cpas-parity",),
+    "--cpas-parity-propose": ("--cpas-parity",),
     "--cpas-benchmark-against": ("--cpas-benchmark",),
     "--cpas-benchmark-fail": ("--cpas-benchmark",),
     "--cpas-against": ("--cpas-report",),

@@ -100,6 +100,7 @@ ARROWS: Mapping[str, set[str]] = {
         "registry",
         "remote",
         "types",
+        "_files",
         "_open3d",
     },
     "suite": {"session", "timing", "traces", "checks", "evaluation", "types"},

@@ -289,6 +289,12 @@ def add_options(parser: pytest.Parser) -> None:
         " here, and which draws are taken over from it",
     )
     group.addoption(
+        "--cpas-parity-propose",
+        metavar="FILE",
+        help="with --cpas-parity: write such a map into FILE, from values that hold the same"
+        " numbers under other names, or turned",
+    )
+    group.addoption(
         "--cpas-list",
         action="store_true",
         help="print what is registered, which weights of the methods are there, and the protocols"

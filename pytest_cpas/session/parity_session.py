@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from pytest_cpas import registry
+from pytest_cpas._files import write_file
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.reading.text import folded, terminal_lines
 from pytest_cpas.report.terminal import Terminal
@@ -24,6 +25,7 @@ from pytest_cpas.timing.workers import Revision, TimingError
 from pytest_cpas.traces.files import DEFAULT_MOST, LARGEST_MOST
 from pytest_cpas.traces.maps import NameMap, read_map
 from pytest_cpas.traces.parity import SampleParity, judge_parity
+from pytest_cpas.traces.proposing import map_text
 from pytest_cpas.traces.references import MethodReference, RecordedReference, Reference
 from pytest_cpas.traces.revisions import RevisionReference
 from pytest_cpas.traces.running import Plan, Traced, TracedRun
@@ -91,6 +93,7 @@ class ParitySession(SuiteSession):
             if self.is_controller and not self.only_shows:
                 if not isinstance(sys.exception(), KeyboardInterrupt):
                     self._judge(session)
+                    self._write_map(session)
                 self.verdicts_told = True
 
     def _judge(self, session: pytest.Session) -> None:
@@ -107,6 +110,24 @@ class ParitySession(SuiteSession):
                 collected.verdict.outcome(False),
                 folded(str(collected.verdict)),
             )
+
+    def _write_map(self, session: pytest.Session) -> None:
+        """Write the map of names that the samples propose."""
+        name = self.config.option.cpas_parity_propose
+        if name is None:
+            return
+        path = self.config.invocation_params.dir / name
+        proposals = [
+            each.proposal
+            for collected in self.collected.values()
+            for each in collected.traced
+            if each.parity
+        ]
+        try:
+            write_file(path, map_text(proposals))
+        except OSError as error:
+            message = f"{path}: the map cannot be written ({error})"
+            report_outcome(session, "cpas-parity::map", "failed", message)
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """What was recorded, and the verdicts."""
@@ -145,6 +166,7 @@ def _plan(option: Namespace, options: RunOptions, here: Path) -> Plan:
         folder=options.trace,
         most=_most(option.cpas_trace_max),
         spread=option.cpas_trace_spread,
+        proposes=option.cpas_parity_propose is not None,
         names=names,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ _SCHEMA: Mapping[str, Any] = {
     "type": "object",
     "properties": {
         "replay": {"type": "array", "items": {"type": "string"}},
+        "ignore": {"type": "array", "items": {"type": "string"}},
         "values": {
             "type": "array",
             "items": {
@@ -32,6 +34,7 @@ _SCHEMA: Mapping[str, Any] = {
                     "reshape": {"type": "array", "items": {"type": "integer"}},
                     "axis": {"type": "integer", "minimum": 0},
                     "take": {"type": "array", "minItems": 2, "items": {"type": "integer"}},
+                    "calls": {"type": "array", "items": {"type": "integer", "minimum": 1}},
                     "quaternion": {"enum": ["scalar-first"]},
                 },
                 "required": ["reference", "here"],
@@ -49,7 +52,8 @@ class Named:
 
     In this order: ``take`` two numbers, the first and the one behind the last, along ``axis``;
     ``transpose``: the axes in the order that they have here; ``reshape``: the shape here;
-    ``quaternion`` "scalar-first": as the reference has it, and here the scalar is last.
+    ``quaternion`` "scalar-first": as the reference has it, and here the scalar is last. ``calls``:
+    the numbers of the reference's calls, in the order in which they come here.
     """
 
     reference: str
@@ -59,10 +63,13 @@ class Named:
     transpose: Sequence[int] | None = None
     reshape: Sequence[int] | None = None
     quaternion: str | None = None
+    calls: Sequence[int] | None = None
 
     def of(self, value: Value) -> Value:
         """The value as it would be here; :class:`pytest_cpas.types.DataError` for one that cannot
         be."""
+        if self.calls is not None and value.call in self.calls:
+            value = value.replaced(call=self.calls.index(value.call) + 1)
         changes = (self.take, self.transpose, self.reshape, self.quaternion)
         if all(change is None for change in changes):
             return value.replaced(name=self.here)
@@ -95,10 +102,12 @@ class Named:
 @dataclass(frozen=True, kw_only=True)
 class NameMap:
     """All of them; ``replay``: names, as they are here, of what is drawn at random and is taken
-    over from the reference."""
+    over from the reference; ``ignore``: patterns with ``*`` of names of the reference that mean
+    something else here."""
 
     values: Sequence[Named] = field(default=())
     replay: Sequence[str] = field(default=())
+    ignore: Sequence[str] = field(default=())
 
     def applied(self, trace: Trace) -> Trace:
         """A trace of the reference, in the names that are used here; a value may become several.
@@ -110,6 +119,8 @@ class NameMap:
             by_name.setdefault(named.reference, []).append(named)
         values: list[Value] = []
         for value in trace.values:
+            if any(fnmatchcase(value.name, pattern) for pattern in self.ignore):
+                continue
             values += [named.of(value) for named in by_name.get(value.name, ())] or [value]
         return Trace(values=values, reason=trace.reason)
 
@@ -121,4 +132,5 @@ def read_map(path: Path) -> NameMap:
     return NameMap(
         values=tuple(Named(**each) for each in content.get("values", ())),
         replay=tuple(content.get("replay", ())),
+        ignore=tuple(content.get("ignore", ())),
     )

@@ -13,6 +13,7 @@ from pytest_cpas.traces.comparing import compare
 from pytest_cpas.traces.files import DEFAULT_MOST, Header, read_header, stem_of, write_sample
 from pytest_cpas.traces.maps import NameMap
 from pytest_cpas.traces.parity import SampleParity
+from pytest_cpas.traces.proposing import Proposal, propose
 from pytest_cpas.traces.recording import Trace, answer_of, draws_of, record
 from pytest_cpas.traces.references import NoTraceError, Reference
 from pytest_cpas.traces.spread import with_spread
@@ -24,25 +25,27 @@ __all__ = ["Plan", "Traced", "TracedRun"]
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """What is done with traces: ``folder``, where they are recorded, each sample in at most about
-    ``most`` bytes; ``spread``: whether the noise of the method is measured; ``names``: how the
-    reference's values are called here."""
+    ``most`` bytes; ``spread``: whether the noise of the method is measured; ``proposes``:
+    whether a map of names is; ``names``: how the reference's values are called here."""
 
     folder: Path | None = None
     most: int = DEFAULT_MOST
     spread: bool = False
+    proposes: bool = False
     names: NameMap = field(default_factory=NameMap)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Traced:
     """What became of a sample: ``written`` bytes, 0 if it was there already; ``lacking``: the
-    reference has no trace of it; ``parity``: how it compares."""
+    reference has no trace of it; ``parity``: how it compares; ``proposal``: of a map of names."""
 
     sample: str
     written: int = 0
     kept: bool = False
     lacking: bool = False
     parity: SampleParity | None = None
+    proposal: Proposal = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
         """As plain values, which travel on test reports."""
@@ -96,12 +99,20 @@ class TracedRun:
         written = 0
         if folder is not None and not kept:
             written = write_sample(folder, replace(header, spread_of=spread_of), trace)
+        proposal: dict[str, bool] = {}
         try:
-            parity = self._compared(ref, sample, trace)
+            parity = self._compared(ref, sample, trace, proposal)
         except (NoTraceError, DataError) as error:
             raise SampleError(f"{where}: {error}") from None
         lacking = self.reference is not None and parity is None
-        return Traced(sample=ref.id, written=written, kept=kept, lacking=lacking, parity=parity)
+        return Traced(
+            sample=ref.id,
+            written=written,
+            kept=kept,
+            lacking=lacking,
+            parity=parity,
+            proposal=proposal,
+        )
 
     def _header(self, ref: SampleRef) -> Header:
         run = self.run
@@ -125,7 +136,10 @@ class TracedRun:
         measured = bool(there.spread_of) or not self.plan.spread
         return measured and replace(there, spread_of={}) == header
 
-    def _compared(self, ref: SampleRef, sample: Sample, trace: Trace) -> SampleParity | None:
+    def _compared(
+        self, ref: SampleRef, sample: Sample, trace: Trace, proposal: dict[str, bool]
+    ) -> SampleParity | None:
+        """How a trace compares; into ``proposal`` goes that of a map, if one is asked for."""
         if self.reference is None:
             return None
         run, names = self.run, self.plan.names
@@ -133,6 +147,8 @@ class TracedRun:
         if theirs is None:
             return None
         theirs = names.applied(theirs)
+        if self.plan.proposes:
+            proposal |= propose(trace, theirs)
         if names.replay:
             trace = self._again(sample, theirs, names.replay)
         found = compare(trace, theirs, names.replay)

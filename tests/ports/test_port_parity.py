@@ -1,13 +1,17 @@
 """Every port against a recorded trace of itself, and the stage at which planted faults are."""
 
 import itertools
+import timeit
 
 import cases
+import numpy as np
 import parity_cases
 import pytest
 
+from pytest_cpas.stages import TorchTaps, hearing, tap
 from pytest_cpas.traces.comparing import compare
 from pytest_cpas.traces.parity import ParityWord, SampleParity, judge_parity
+from pytest_cpas.traces.recording import Recorder
 
 FAULTS = [
     pytest.param(*fault, id=f"{family}-{fault[0]}-{fault[1]}")
@@ -39,6 +43,22 @@ def test_thirty_faults():
     assert [len(faults) for faults in parity_cases.FAULTS.values()] == [10, 10, 10]
     faults = itertools.chain.from_iterable(parity_cases.FAULTS.values())
     assert {fault[0] for fault in faults} == set(parity_cases.NAMES)
+
+
+def test_idle_taps_cost_less_than_a_hundredth(monkeypatch):
+    """The quickest of the networks; of the others it is less."""
+    heard = Recorder()
+    method, seen = parity_cases.method("asmnet"), parity_cases.observation("asmnet")
+    monkeypatch.setattr(TorchTaps, "__enter__", lambda self: tap("entered", np.zeros(1)))
+    with hearing(heard):
+        method.predict([seen], 0)
+    monkeypatch.undo()
+    names = [value.name for value in heard.values]
+    assert names.count("entered") == 1
+    idle = min(timeit.repeat(lambda: tap("x", names), number=1000, repeat=5)) / 1000
+    entering = min(timeit.repeat(TorchTaps(None).__enter__, number=1000, repeat=5)) / 1000
+    takes = min(timeit.repeat(lambda: method.predict([seen], 0), number=1, repeat=3))
+    assert len(names) * idle + entering < 0.01 * takes
 
 
 @pytest.mark.minutes

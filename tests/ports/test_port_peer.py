@@ -28,6 +28,11 @@ from method_adapters.rbppose import (
 )
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas.similarity import robust_umeyama, umeyama
+from pytest_cpas.stages import TorchTaps, hearing
+from pytest_cpas.traces.comparing import compare
+from pytest_cpas.traces.maps import read_map
+from pytest_cpas.traces.proposing import map_text, propose
+from pytest_cpas.traces.recording import Recorder, Trace
 from pytest_cpas.types import CATEGORIES
 
 pytest.importorskip("cpas_toolbox", reason="pip install --no-deps cpas_toolbox==1.0.0")
@@ -59,6 +64,40 @@ def test_networks(peer, name, path):
         theirs = published(*inputs)
     for a, b in zip(ours, theirs, strict=True):
         assert cases.relative(a, b.numpy()) <= cases.TOLERANCE
+
+
+def traced(net, inputs):
+    recorder = Recorder()
+    with hearing(recorder), TorchTaps(net), torch.inference_mode():
+        net(*inputs)
+    return Trace(values=recorder.values)
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "made", "shared"),
+    [
+        ("spd", "_spd.spd.network", lambda m: m.DeformNet(n_cat=6, nv_prior=1024), 105),
+        ("crnet", "_crnet.crnet.network", lambda m: m.DeformNet(n_cat=6, nv_prior=1024), 267),
+        (
+            "asmnet",
+            "_asmnet.ASM_Net.pointnet",
+            lambda m: m.ASM_Net(num_points=800, k=4),
+            32,
+        ),
+    ],
+)
+def test_parity_at_every_shared_stage(peer, tmp_path, name, path, made, shared):
+    """Under the map of names that is proposed."""
+    ours = asmnet_cases.network("mug") if name == "asmnet" else cases.network(name)
+    inputs = asmnet_cases.network_inputs() if name == "asmnet" else cases.network_inputs(name)
+    published = made(peer(path)).eval()
+    published.load_state_dict(ours.state_dict(), strict=True)
+    own, theirs = traced(ours, inputs), traced(published, inputs)
+    (tmp_path / "parity.toml").write_text(map_text([propose(own, theirs)]))
+    found = compare(own, read_map(tmp_path / "parity.toml").applied(theirs))
+    assert found.parting is None, found.parting
+    assert len(found.differences) >= shared
+    assert {"network.assign", "network.shape"} & {each.name for each in found.differences}
 
 
 def boxes(count):

@@ -169,6 +169,29 @@ def test_names_and_axes_are_mapped(recorded_trace, pytester):
     assert "EXACT: 48 values" in verdict(result)
 
 
+def test_map_is_proposed(recorded_trace, pytester):
+    path = pytester.path / "traced.py"
+    path.write_text(
+        path.read_text()
+        + """
+class Renamed(Traced):
+    def predict(self, batch, seed):
+        import traced
+        real, traced.tap = tap, lambda name, x: real(name.replace("features", "encoder.out"), x)
+        try:
+            return super().predict(batch, seed)
+        finally:
+            traced.tap = real
+"""
+    )
+    result = recorded_trace("Renamed", "--cpas-parity=out", "--cpas-parity-propose=map.toml")
+    assert "EXACT: 44 values" in verdict(result)
+    told = (pytester.path / "map.toml").read_text()
+    assert told.endswith('[[values]]\nreference = "features"\nhere = "encoder.out"\n')
+    result = recorded_trace("Renamed", "--cpas-parity=out", "--cpas-parity-map=map.toml")
+    assert "EXACT: 48 values" in verdict(result)
+
+
 def test_another_method_and_another_revision(traced, pytester):
     def git(*arguments):
         name = ("-c", "user.name=x", "-c", "user.email=x@example.org")
