@@ -14,6 +14,9 @@ nox.options.error_on_missing_interpreters = True
 # BLAS threads beside xdist workers only get in each other's way
 ENV = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
+#: The same for a process that keeps what it compiles, whatever is usual on this machine.
+KEEPS = {**ENV, "PYTHONDONTWRITEBYTECODE": ""}
+
 
 def install(session: nox.Session, *requirements: str) -> None:
     session.install("--constraint", "constraints.txt", *requirements)
@@ -41,6 +44,8 @@ def tests(session: nox.Session) -> None:
     """The project's own tests, but those that take minutes, which ``ports`` and ``stress`` run."""
     install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
     quick = ("-m", "not minutes")
+    # imports every module: else each of the processes that tests start might compile them anew
+    session.run("pytest", "-qq", "tests/test_public_names.py", env=KEEPS)
     session.run("pytest", "--numprocesses=2", *quick, *session.posargs, env=ENV)
 
 
