@@ -158,8 +158,9 @@ def docs(session: nox.Session) -> None:
 @nox.session
 def docs_figures(session: nox.Session) -> None:
     """Draw the pictures of the documentation anew; ``-- DATA`` also those of real data."""
-    install(session, "-e", ".", "--group", "docs")
-    session.run("python", "docs/figures/sample_count_convergence.py", env=os.environ | ENV)
+    install(session, "-e", ".[open3d]", "--group", "docs")
+    for name in ("sample_count_convergence", "pictures"):
+        session.run("python", f"docs/figures/{name}.py", env=os.environ | ENV)
     if session.posargs:
         session.run("python", "docs/figures/up_axes.py", *session.posargs, env=ENV)
 

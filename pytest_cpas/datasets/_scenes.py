@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas.datasets import shapes
-from pytest_cpas.datasets.rendering import camera_rays, render
+from pytest_cpas.datasets.rendering import Cast, camera_rays, render
 from pytest_cpas.types import CATEGORIES, Array, Camera, Mesh, Pose
 
 #: Class ids of items beside 1..6, the categories: in the data set's masks, but nobody's task.
@@ -90,9 +90,12 @@ class Shapes:
 class TabletopScene:
     """Upright objects on a table in a room, seen from above, as in REAL275."""
 
+    #: How far the camera is from what it looks at, metres.
+    distances = (0.5, 1.3)
+
     def __init__(self, stock: Stock, seed: int, split: int, number: int, camera: Camera) -> None:
         rng = np.random.default_rng([seed, split, 1, number])
-        placed: list[tuple[Array, float]] = []
+        self._placed: list[tuple[Array, float]] = []
         self._things: list[tuple[Model, Array, Array]] = []
         models: list[Model | None] = [*stock.on_table(number)]
         #: How many objects a frame shows well.
@@ -102,13 +105,13 @@ class TabletopScene:
         for index in rng.permutation(len(models)).tolist():
             model = models[index]
             if model is None:
-                model = Model(_box(rng.uniform(0.06, 0.14, 3)), "box_0", DISTRACTOR, "box")
+                model = Model(box(rng.uniform(0.06, 0.14, 3)), "box_0", DISTRACTOR, "box")
             half = model.mesh.bounds[1]
             radius = float(np.sqrt(half[0] ** 2 + half[2] ** 2))
-            position = _free_place(placed, radius, rng)
-            placed.append((position, radius))
+            position = free_place(self._placed, radius, rng)
+            self._placed.append((position, radius))
             position = np.array([position[0], half[1], position[1]])
-            turn = _about_y(rng.uniform(0, 2 * np.pi))
+            turn = about_y(rng.uniform(0, 2 * np.pi))
             self._things.append((model, turn, position))
         self._colours = rng.uniform(0.1, 0.95, (len(self._things) + 3, 2, 3))
         self._colours[-3:] = rng.uniform(0.35, 0.75, (3, 1, 1)) + rng.uniform(-0.1, 0.1, (3, 2, 3))
@@ -119,14 +122,14 @@ class TabletopScene:
             target=self._things[rng.integers(len(self._things))][2] + rng.normal(0, 0.03, 3),
             azimuth=rng.uniform(0, 2 * np.pi),
             elevation=np.deg2rad(rng.uniform(15, 60)),
-            distance=rng.uniform(0.5, 1.3),
+            distance=rng.uniform(*self.distances),
             roll=np.deg2rad(rng.normal(0, 3)),
         )
 
         def item(
             mesh: Mesh, turn: Array, at: Array, colours: Array, pattern: str, *what: int | str
         ) -> Item:
-            pose = _rounded_pose(rotation @ turn, rotation @ at + translation)
+            pose = rounded_pose(rotation @ turn, rotation @ at + translation)
             return Item(mesh, pose, colours, pattern, *what)  # type: ignore[arg-type]
 
         scenery = [
@@ -143,6 +146,7 @@ class HandheldScene:
     """One object, freely turned in a hand in front of a person, as in REDWOOD75."""
 
     wanted = 1  # object that a frame shows well
+    cast: Cast | None = None  # what feels where the fingers touch
 
     def __init__(self, stock: Stock, seed: int, split: int, number: int, camera: Camera) -> None:
         rng = np.random.default_rng([seed, split, 1, number])
@@ -173,7 +177,7 @@ class HandheldScene:
         centre = camera_rays(self._camera)[row, column] * rng.uniform(nearest, 1.0)
         held = Item(
             model.mesh,
-            _rounded_pose(_random_rotation(rng), centre),
+            rounded_pose(_random_rotation(rng), centre),
             self._colours,
             model.pattern,
             model.class_id,
@@ -189,10 +193,10 @@ class HandheldScene:
         shoulders = (at(-0.12, 0.2), at(0.12, 0.2), 0.11)
         trunk = (at(0.0, 0.25), at(0.0, 0.9), 0.17)
         head = (at(0.0, -0.1), at(0.0, -0.02), 0.085)
-        yaw = _about_y(np.deg2rad(rng.uniform(-25, 25)))
-        wall = _rounded_pose(yaw, np.array([0.0, 0.0, behind + rng.uniform(0.5, 0.9)]))
+        yaw = about_y(np.deg2rad(rng.uniform(-25, 25)))
+        wall = rounded_pose(yaw, np.array([0.0, 0.0, behind + rng.uniform(0.5, 0.9)]))
         return [
-            Item(_box(np.array([8.0, 6.0, 0.05])), wall, self._wall, "planks"),
+            Item(box(np.array([8.0, 6.0, 0.05])), wall, self._wall, "planks"),
             _rods([shoulders, trunk], self._clothes),
             _rods([head, *self._hand(held, rng)], _SKIN),
             held,
@@ -200,7 +204,7 @@ class HandheldScene:
 
     def _hand(self, held: Item, rng: np.random.Generator) -> list[tuple[Array, Array, float]]:
         """Forearm, palm and the fingers that close over the side that the camera sees."""
-        seen = render([(held.mesh, held.pose)], self._coarse)
+        seen = render([(held.mesh, held.pose)], self._coarse, self.cast)
         points = self._coarse.back_project(seen.depth, seen.instance == 0)
         if not len(points):
             return []  # too thin to be felt
@@ -245,9 +249,7 @@ class HandheldScene:
         return rods
 
 
-def _free_place(
-    placed: list[tuple[Array, float]], radius: float, rng: np.random.Generator
-) -> Array:
+def free_place(placed: list[tuple[Array, float]], radius: float, rng: np.random.Generator) -> Array:
     """A place (x, z) on the table that keeps 1 cm from all others."""
     for attempt in range(10_000):
         spread = 0.1 + 0.0003 * attempt  # a crowded table is used further out
@@ -282,17 +284,17 @@ def _random_rotation(rng: np.random.Generator) -> Array:
     return rotation
 
 
-def _about_y(angle: float) -> Array:
+def about_y(angle: float) -> Array:
     rotation: Array = Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix()
     return rotation
 
 
-def _rounded_pose(rotation: Array, translation: Array) -> Pose:
+def rounded_pose(rotation: Array, translation: Array) -> Pose:
     """A pose rounded to what no processor's sines and matrix products change."""
     return Pose(np.round(rotation, 9), np.round(translation, 9))
 
 
-def _box(extents: Array) -> Mesh:
+def box(extents: Array) -> Mesh:
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = [t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))]
@@ -324,7 +326,7 @@ def _rods(rods: list[tuple[Array, Array, float]], colours: Array) -> Item:
 
 #: Table top, floor and walls: mesh and centre in the world, whose y = 0 is the table's surface.
 _ROOM = (
-    (_box(np.array([1.6, 0.04, 1.2])), (0.0, -0.02, 0.0)),
-    (_box(np.array([4.0, 0.04, 3.6])), (0.0, -0.45, 0.0)),
-    (_box(np.array([4.0, 3.0, 3.6])), (0.0, 1.0, 0.0)),
+    (box(np.array([1.6, 0.04, 1.2])), (0.0, -0.02, 0.0)),
+    (box(np.array([4.0, 0.04, 3.6])), (0.0, -0.45, 0.0)),
+    (box(np.array([4.0, 3.0, 3.6])), (0.0, 1.0, 0.0)),
 )

@@ -1,14 +1,14 @@
-"""The one rendering path: ray casting of posed meshes to depth, instances and normals.
+"""The one rendering path: posed meshes to depth, instances and normals.
 
-Open3D's ray caster (Embree) only decides which triangle a pixel's ray meets. Depth and normal come
-from that triangle's plane in double precision by elementwise operations, which are the same on
-every processor.
+Open3D's ray caster (Embree), or :mod:`pytest_cpas.datasets.rasterising`, only decides which
+triangle a pixel's ray meets. Depth and normal come from that triangle's plane in double precision
+by elementwise operations, which are the same on every processor.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +17,14 @@ from numpy.typing import NDArray
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas.types import Array, Camera, Mesh, Pose
 
-__all__ = ["Rendering", "camera_rays", "hidden", "render"]
+__all__ = ["Cast", "Rendering", "camera_rays", "cast_rays", "hidden", "render"]
 
 #: What was measured so much nearer than an object, metres, hides it.
 IN_FRONT = 0.01
+
+#: Of triangles' corners (F, 3, 3) in a camera's frame: the flat indices of the pixels whose ray
+#: meets one, and which it meets first.
+Cast = Callable[[Array, Camera], tuple[NDArray[np.int64], NDArray[np.int64]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +52,13 @@ def camera_rays(camera: Camera) -> Array:
     return rays
 
 
-def render(objects: Sequence[tuple[Mesh, Pose]], camera: Camera) -> Rendering:
+def render(
+    objects: Sequence[tuple[Mesh, Pose]], camera: Camera, cast: Cast | None = None
+) -> Rendering:
     """Render meshes at their object-to-camera poses; both sides of a triangle are seen.
 
-    Raises :class:`ImportError` that says what to install where Open3D is missing.
+    ``cast`` is Open3D's by default, which raises :class:`ImportError` that says what to install
+    where Open3D is missing.
     """
     shape = (camera.height, camera.width)
     depth, normals = np.zeros(shape), np.zeros((*shape, 3))
@@ -60,7 +67,7 @@ def render(objects: Sequence[tuple[Mesh, Pose]], camera: Camera) -> Rendering:
         return Rendering(depth, instances, triangles, normals)
     corners = np.concatenate([_corners(mesh, pose) for mesh, pose in objects])
     first = np.cumsum([0] + [len(mesh.triangles) for mesh, _ in objects])
-    hit, triangle = _cast(corners, camera)
+    hit, triangle = (cast or cast_rays)(corners, camera)
 
     # planes: normal . x = offset
     normal = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -100,8 +107,8 @@ def _corners(mesh: Mesh, pose: Pose) -> Array:
     return moved[mesh.triangles]
 
 
-def _cast(corners: Array, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Flat indices of the pixels whose ray meets a triangle, and these triangles."""
+def cast_rays(corners: Array, camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """What Open3D's ray caster says, as a :data:`Cast`."""
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     vertices = corners.reshape(-1, 3).astype(np.float32)

@@ -47,6 +47,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,8 @@ from PIL import Image
 from scipy import ndimage
 
 from pytest_cpas._files import cache_folder
-from pytest_cpas.datasets import _mug, _rings, _scenes, rendering, shapes
+from pytest_cpas.datasets import _mug, _patterns, _rings, _scenes, rendering, shapes
+from pytest_cpas.datasets._patterns import second_colour
 from pytest_cpas.datasets._scenes import SCENERY, HandheldScene, Item, Shapes, Stock, TabletopScene
 from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree
 from pytest_cpas.datasets.rendering import Rendering, camera_rays, render
@@ -65,8 +67,10 @@ __all__ = [
     "HANDHELD",
     "TABLETOP",
     "Split",
+    "Synthetic",
     "SyntheticHandheld",
     "SyntheticTabletop",
+    "View",
     "cached",
     "generate",
     "measure",
@@ -78,7 +82,7 @@ HANDHELD_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 SEED = 20230517
 
 #: The modules that decide what is made, beside this one.
-MAKERS = (shapes, _rings, _mug, rendering, _scenes)
+MAKERS = (shapes, _rings, _mug, rendering, _scenes, _patterns)
 
 #: An object of which fewer pixels are seen with depth, or less of its box in the image, is left
 #: out: nobody could tell its pose.
@@ -86,6 +90,17 @@ _MIN_PIXELS, _MIN_SHARE = 500, 0.15
 
 #: So many views are tried.
 _ATTEMPTS = 200
+
+
+class View(Protocol):
+    """What a sensor has of a composed scene: what is there, ``seen``, and what it measures of it,
+    ``depth`` (H, W) in millimetres, 0 = missing."""
+
+    seen: Rendering
+    depth: NDArray[np.uint16]
+
+    def photograph(self, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """The colour image (H, W, 3)."""
 
 
 @dataclass(frozen=True)
@@ -99,26 +114,30 @@ class Split:
     frames: int
     kind: type[TabletopScene] | type[HandheldScene]
     stock: Stock | None = None  # the embedded shapes if None
+    look: Callable[[list[Item], Camera, np.random.Generator], View] | None = None  # else plain
+    most_lost: float = 1.0  # share of an object's pixels without depth; with more it is left out
 
 
 TABLETOP = Split("synthetic-tabletop", 0, REAL_CAMERA, 6, 5, TabletopScene)
 HANDHELD = Split("synthetic-handheld", 1, HANDHELD_CAMERA, 18, 7, HandheldScene)
 
 
-class _Synthetic(NocsTree):
+class Synthetic(NocsTree):
     """A tree in the cache, made when it is first asked for."""
 
     split: Split
+    #: Modules beside :data:`MAKERS` that decide the content.
+    makers: tuple[ModuleType, ...] = ()
 
     def __init__(self, data_dir: Path | None) -> None:
         """``data_dir`` is not used: the data set makes itself."""
         split = self.split
-        root = cached(split.name, recipe(), lambda folder: generate(split, folder))
+        root = cached(split.name, recipe(*self.makers), lambda folder: generate(split, folder))
         super().__init__(self.split.name, root, self.split.camera)
         self.digest = (root / "digest.txt").read_text().strip()
 
 
-class SyntheticTabletop(_Synthetic):
+class SyntheticTabletop(Synthetic):
     """Upright objects on a table; see the module's docstring."""
 
     split = TABLETOP
@@ -126,7 +145,7 @@ class SyntheticTabletop(_Synthetic):
     in_folder = "pytest_cpas.datasets.own_meshes:OwnTabletop"
 
 
-class SyntheticHandheld(_Synthetic):
+class SyntheticHandheld(Synthetic):
     """One freely turned object in a hand; see the module's docstring."""
 
     split = HANDHELD
@@ -183,7 +202,7 @@ def generate(split: Split, root: Path, scenes: Sequence[int] | None = None) -> N
         for frame in range(split.frames):
             rng = np.random.default_rng([SEED, split.key, 2, number, frame])
             try:
-                writer.add(number, frame, _capture(scene, split.camera, rng))
+                writer.add(number, frame, _capture(split, scene, rng))
             except DataError as error:
                 raise DataError(f"{split.name}, scene {number}: {error}") from None
     writer.finish()
@@ -201,20 +220,19 @@ class _Frame:
 
 
 def _capture(
-    scene: TabletopScene | HandheldScene, camera: Camera, rng: np.random.Generator
+    split: Split, scene: TabletopScene | HandheldScene, rng: np.random.Generator
 ) -> _Frame:
     """Compose until enough objects are seen well, then take the images."""
+    camera, look = split.camera, split.look or _PlainView
     for _ in range(_ATTEMPTS):
         items = scene.compose(rng)
-        seen = render([(item.mesh, item.pose) for item in items], camera)
-        depth = measure(seen, camera, rng)
+        view = look(items, camera, rng)
+        seen, depth = view.seen, view.depth
         listed = [
             index
             for index, item in enumerate(items)
             if item.class_id != SCENERY
-            and _well_seen(
-                item, int(np.count_nonzero((seen.instance == index) & (depth > 0))), camera
-            )
+            and _well_seen(item, depth[seen.instance == index], split.most_lost, camera)
         ]
         if sum(items[index].class_id > 0 for index in listed) >= scene.wanted:
             break
@@ -226,29 +244,27 @@ def _capture(
             " span. What is small, or thin as wire, is not; take it out"
         )
     first = next(i for i, item in enumerate(items) if item.class_id != SCENERY)
-    rays = camera_rays(camera).reshape(-1, 3)
     mask = np.full(depth.size, 255, dtype=np.uint8)
     coord = np.full((depth.size, 3), 255, dtype=np.uint8)
-    colour = np.zeros((depth.size, 3), dtype=np.uint8)
-    light = rng.normal(size=3) + np.array([0.0, -2.0, -2.0])  # from above, behind the camera
-    light /= np.sqrt(np.sum(light**2))
-    for index, item in enumerate(items):
-        pixels = np.flatnonzero(seen.instance == index)
-        points = _object_points(item, rays[pixels] * seen.depth.reshape(-1, 1)[pixels])
-        colour[pixels] = _shade(item, points, seen.normal.reshape(-1, 3)[pixels], light)
-        if index in listed:
-            mask[pixels] = index - first + 1
-            coord[pixels] = _nocs_colours(item, points)
+    for index in listed:
+        pixels, points = object_points(items[index], index, seen, camera)
+        mask[pixels] = index - first + 1
+        coord[pixels] = _nocs_colours(items[index], points)
     objects = {index - first + 1: items[index] for index in listed}
-    image = (*depth.shape, 3)
     return _Frame(
-        colour.reshape(image), depth, mask.reshape(depth.shape), coord.reshape(image), objects
+        view.photograph(rng),
+        depth,
+        mask.reshape(depth.shape),
+        coord.reshape(*depth.shape, 3),
+        objects,
     )
 
 
-def _well_seen(item: Item, count: int, camera: Camera) -> bool:
-    """Whether ``count`` pixels are enough to see, also of what an object's box spans."""
-    if count < _MIN_PIXELS:
+def _well_seen(item: Item, measured: NDArray[np.uint16], most_lost: float, camera: Camera) -> bool:
+    """Whether the pixels that were ``measured`` of an object, 0 where there is no depth, are enough
+    to see, also of what its box spans."""
+    count = int(np.count_nonzero(measured))
+    if count < _MIN_PIXELS or len(measured) - count > most_lost * len(measured):
         return False
     corners = camera.project(item.pose.apply(item.mesh.vertices))
     span = corners.max(axis=0) - corners.min(axis=0)
@@ -276,12 +292,16 @@ def measure(seen: Rendering, camera: Camera, rng: np.random.Generator) -> NDArra
     return np.where(lost | (z == 0), 0, millimetres).astype(np.uint16)
 
 
-def _object_points(item: Item, camera_points: Array) -> Array:
-    """Camera-frame points (N, 3) in the frame of the object."""
-    moved = camera_points - item.pose.translation
+def object_points(
+    item: Item, index: int, seen: Rendering, camera: Camera
+) -> tuple[NDArray[np.int64], Array]:
+    """The pixels (N,), flat, that see the item of an index, and what they see of it (N, 3), in its
+    own frame, metres."""
+    pixels = np.flatnonzero(seen.instance == index)
+    rays = camera_rays(camera).reshape(-1, 3)[pixels]
+    moved = rays * seen.depth.reshape(-1, 1)[pixels] - item.pose.translation
     r = item.pose.rotation
-    points: Array = moved[:, :1] * r[0] + moved[:, 1:2] * r[1] + moved[:, 2:] * r[2]
-    return points
+    return pixels, moved[:, :1] * r[0] + moved[:, 1:2] * r[1] + moved[:, 2:] * r[2]
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -300,33 +320,32 @@ def _bytes(colours: Array) -> NDArray[np.uint8]:
     return levels
 
 
+class _PlainView:
+    """Two colours, lit from one side without shadows; depth as :func:`measure` has it."""
+
+    def __init__(self, items: list[Item], camera: Camera, rng: np.random.Generator) -> None:
+        self._items, self._camera = items, camera
+        self.seen = render([(item.mesh, item.pose) for item in items], camera)
+        self.depth = measure(self.seen, camera, rng)
+
+    def photograph(self, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """The colour image (H, W, 3)."""
+        seen = self.seen
+        colour = np.zeros((seen.depth.size, 3), dtype=np.uint8)
+        light = rng.normal(size=3) + np.array([0.0, -2.0, -2.0])  # from above, behind the camera
+        light /= np.sqrt(np.sum(light**2))
+        for index, item in enumerate(self._items):
+            pixels, points = object_points(item, index, seen, self._camera)
+            colour[pixels] = _shade(item, points, seen.normal.reshape(-1, 3)[pixels], light)
+        return colour.reshape(*seen.depth.shape, 3)
+
+
 def _shade(item: Item, points: Array, normals: Array, light: Array) -> NDArray[np.uint8]:
     """Lambertian shading (N, 3) of a two-coloured surface."""
     low, high = item.mesh.bounds
-    albedo = item.colours[_pattern(item.pattern, points, points / (high - low)).astype(int)]
+    albedo = item.colours[second_colour(item.pattern, points, points / (high - low)).astype(int)]
     lit = 0.4 + 0.6 * np.clip(_dot(normals, light), 0, 1)
     return _bytes(albedo * lit[:, None])
-
-
-def _pattern(name: str, points: Array, relative: Array) -> NDArray[np.bool_]:
-    """Where (N,) an object has its second colour; ``relative`` points lie in -1/2..1/2."""
-    x, y, z = relative.T
-    second: NDArray[np.bool_]
-    match name:
-        case "planks":
-            # no scenery has a side at x = (n + 1/2) / 7, where rounding would choose
-            second = np.floor(7 * points[:, 0] + 0.5) % 2 == 1
-        case "bottle":  # a label and a cap
-            second = (np.abs(y + 0.15) < 0.15) | (y > 0.42)
-        case "bowl":  # a stripe below the rim
-            second = np.abs(y - 0.35) < 0.06
-        case "camera":  # the lens
-            second = z < -0.15
-        case "laptop":  # keyboard and display within their frames
-            second = (np.abs(x) < 0.45) & ((y > -0.4) | (np.abs(z + 0.1) < 0.25)) & (y < 0.45)
-        case _:  # a band around can, mug and box
-            second = np.abs(y) < 0.28
-    return second
 
 
 def _diagonal(item: Item) -> float:

@@ -9,7 +9,7 @@ from pytest_cpas.types import ContractError, Mesh
 
 
 def box(*sides: float) -> Mesh:
-    return _scenes._box(np.array(sides))
+    return _scenes.box(np.array(sides))
 
 
 def lathe(profile: list[list[float]], sides: int) -> Mesh:
