@@ -379,7 +379,9 @@ def test_shipped_tables_are_sound():
     folders = list(Path(golden.shipped_golden(), "recorded").glob("*/*"))
     assert {f"{f.parent.name}/{f.name}" for f in folders} >= {
         "icp/synthetic-tabletop",
+        "icp/synthetic-tabletop-2",
         "icp/synthetic-handheld",
+        "icp/synthetic-handheld-2",
         "icp/synthetic-handheld+robustness",
     }
     for folder in folders:
