@@ -20,7 +20,7 @@ from pytest_cpas.types import DataError, ToldError, shown
 __all__ = ["FrameError", "arrays_of", "encoded", "header_of", "sizes_of"]
 
 #: Arrays of an answer at most, and their axes.
-_MOST_ARRAYS, _MOST_AXES = 10_000, 4
+_MOST_ARRAYS, _MOST_AXES = 10_000, 8
 
 #: Types of arrays, as numpy writes them: numbers, little-endian.
 _TYPES = frozenset({"<f2", "<f4", "<f8", "|i1", "<i2", "<i4", "<i8", "|u1", "<u2", "<u4", "<u8"})

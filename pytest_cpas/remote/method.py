@@ -8,6 +8,7 @@ import random
 import time
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from pytest_cpas.remote.answers import asset_of, info_of, predictions_of, told_o
 from pytest_cpas.remote.process import WorkerError
 from pytest_cpas.remote.reached import Remote
 from pytest_cpas.remote.spec import Spec
-from pytest_cpas.stages import listener
+from pytest_cpas.stages import draw, heard_by, listener, stage, tap
 from pytest_cpas.types import (
+    AnswerError,
     Asset,
     DeclarationError,
     MethodInfo,
@@ -92,8 +94,15 @@ class RemoteMethod:
             "checked": self._checked,
             "timed": clock is not None,
         }
+        replayed: list[NDArray[Any]] = []
+        if (hearing := heard_by()) is not None:
+            replay = {key: x for key, x in hearing.replay.items() if x.dtype.kind in "iuf"}
+            request |= {"traced": True, "replay": list(replay)}
+            replayed = [np.asarray(x, x.dtype.newbyteorder("<")) for x in replay.values()]
         start = time.perf_counter()
-        answer, given = self.remote.ask(request, arrays, what="predict", seconds=seconds)
+        answer, given = self.remote.ask(
+            request, [*arrays, *replayed], what="predict", seconds=seconds
+        )
         elapsed = time.perf_counter() - start
         self.own_seconds += _seconds(answer.get("seconds"))
         self.transfer_seconds += max(elapsed - _seconds(answer.get("wall")), 0.0)
@@ -102,6 +111,8 @@ class RemoteMethod:
                 clock.seconds[name] = clock.seconds.get(name, 0.0) + _seconds(value)
         _draw(answer.get("drawn"))
         _put_back(answer.get("changed"), arrays, given)
+        if hearing is not None:
+            _name_values(answer.get("values"), answer.get("values_from"), given)
         return predictions_of(answer.get("answers"), given)
 
     def process_facts(self) -> dict[str, Any]:
@@ -187,6 +198,22 @@ def _random_state() -> int:
     _, keys, place, *_ = np.random.get_state()  # noqa: NPY002
     state = zlib.crc32(np.asarray(keys).tobytes(), int(place))
     return zlib.crc32(repr(hash(random.getstate())).encode(), state)
+
+
+def _name_values(told: object, first: object, given: Sequence[NDArray[Any]]) -> None:
+    """Name here what was named there; :class:`AnswerError` for what is none."""
+    places = range(len(given) + 1)
+    if not isinstance(told, list) or type(first) is not int or first not in places:
+        raise AnswerError(f"predict: values are {shown(told)}, expected names of arrays")
+    if first + len(told) not in places:
+        raise AnswerError(f"predict: values are {shown(told)}, expected names of arrays")
+    for each, array in zip(told, given[first:], strict=False):
+        texts = isinstance(each, list) and all(isinstance(text, str) for text in each)
+        if not texts or len(each) != 3:
+            raise AnswerError(f"predict: a value is {shown(each)}, expected name, kind and stage")
+        name, kind, where = each
+        with stage(where) if where else nullcontext():
+            (draw if kind == "draw" else tap)(name, array)
 
 
 def _draw(names: object) -> None:

@@ -3,7 +3,7 @@
 One file, of the standard library and numpy alone, for Python 3.6 and newer: the harness sends it
 through the standard input of ``python -c exec(input())``, so that nothing of pytest-cpas has to be
 there. Where that cannot be, it is copied: ``python worker.py TOKEN``. A method can import it as
-``cpas_worker``, for its :func:`stage`.
+``cpas_worker``, for its :func:`stage`, :func:`tap`, :func:`draw` and :class:`TorchTaps`.
 
 A frame, either way, is a token that nobody else knows, the lengths of what follows (4 and 8 bytes,
 big-endian), a header in JSON, raw arrays in the order and of the types that it names, and the token
@@ -13,6 +13,7 @@ the token, how the process of the method died, which is told by the one that wat
 
 import contextlib
 import errno
+import fnmatch
 import hashlib
 import importlib
 import io
@@ -39,6 +40,9 @@ LARGEST_HEADER, _TRACEBACK = 2**22, 8000
 
 #: Bytes of all arrays of an answer at most: those of a million points, ten times.
 LARGEST_BODY = 2**28
+
+#: Values that a prediction may name.
+_MOST_TAPS = 8000
 
 #: What precedes a header, behind the token.
 LENGTHS = struct.Struct(">IQ")
@@ -119,12 +123,22 @@ class Stages:
 
     def __init__(self) -> None:
         self.listens, self.inside = False, False
+        self.names: List[str] = []
         self.seconds: Dict[str, float] = {}
         self.synchronise: Any = lambda: None
 
     @contextlib.contextmanager
     def timed(self, name: str) -> Iterator[None]:
         """Add this block to a stage; a stage within one is a part of that."""
+        self.names.append(name)
+        try:
+            with self._timed(name):
+                yield
+        finally:
+            self.names.pop()
+
+    @contextlib.contextmanager
+    def _timed(self, name: str) -> Iterator[None]:
         if self.inside or not self.listens:
             yield
             return
@@ -145,6 +159,144 @@ _stages = Stages()
 def stage(name: str) -> Any:
     """``with stage("network"):`` names a stage of a prediction, for ``--cpas-benchmark``."""
     return _stages.timed(name)
+
+
+class Taps:
+    """Keeps what is named while it listens, as ``pytest_cpas.stages`` does; what is drawn is
+    replaced by what is to be replayed."""
+
+    wide = False
+
+    def __init__(self) -> None:
+        self.begin(False, {})
+
+    def begin(self, listens: bool, replay: Dict[Tuple[str, int], Any]) -> None:
+        """Forget what was heard; ``replay``: what is drawn from now on, by name and call."""
+        self.listens, self.replay = listens, replay
+        self.names: List[List[str]] = []
+        self.arrays: List[Any] = []
+        self._calls: Dict[str, int] = {}
+        self._size = 0
+
+    def tapped(self, name: str, value: Any) -> None:
+        """Keep copies."""
+        self._keep("tap", name, value)
+
+    def drawn(self, name: str, value: Any) -> Any:
+        """Keep copies; what is to be replayed, as the same kind of thing."""
+        other = self.replay.get((name, self._calls.get(name, 0) + 1))
+        self._keep("draw", name, value)
+        if other is None:
+            return value
+        if tuple(getattr(value, "shape", ())) != other.shape:
+            raise AnswerError(
+                "draw {!r}: the reference drew {}, expected {}".format(
+                    name, other.shape, getattr(value, "shape", ())
+                )
+            )
+        if hasattr(value, "new_tensor"):
+            return value.new_tensor(other.tolist())
+        return other.astype(value.dtype) if hasattr(value, "dtype") else type(value)(other)
+
+    def widened(self, name: str, problem: str) -> None:
+        """It is not asked for."""
+
+    def _keep(self, kind: str, name: str, value: Any) -> None:
+        stage_name = _stages.names[-1] if _stages.names else ""
+        for part_name, array in _arrays_in(name, value):
+            self._calls[part_name] = self._calls.get(part_name, 0) + 1
+            self._size += array.nbytes
+            if self._size > LARGEST_BODY // 2 or len(self.names) >= _MOST_TAPS:
+                raise AnswerError(
+                    f"tap {part_name!r}: more than {_MOST_TAPS} values, or {LARGEST_BODY // 2}"
+                    " bytes of them; name fewer"
+                )
+            self.names.append([part_name, kind, stage_name])
+            self.arrays.append(array)
+
+
+def _arrays_in(name: str, value: Any) -> Iterator[Tuple[str, Any]]:
+    """Copies of the arrays in a value, each with a name."""
+    import numpy as np
+
+    if value is None:
+        return
+    fields = getattr(value, "_fields", None)
+    if isinstance(value, dict):
+        parts = [(str(key), part) for key, part in value.items()]
+    elif isinstance(value, (tuple, list)) and not all(
+        isinstance(part, (bool, int, float)) for part in value
+    ):
+        parts = list(zip(fields or map(str, range(len(value))), value))
+    else:
+        if hasattr(value, "detach"):  # a tensor
+            value = value.detach()
+            value = value.float() if str(value.dtype) == "torch.bfloat16" else value
+            value = value.cpu().numpy()
+        array = np.array(value, order="C")
+        if array.dtype.kind == "c":
+            array = np.stack([array.real, array.imag], axis=-1)
+        if array.dtype.kind not in "biuf":
+            raise AnswerError(f"tap {name!r}: of type {array.dtype}, expected numbers")
+        if array.dtype.kind == "b":
+            array = array.astype(np.uint8)
+        if array.dtype.itemsize > 8:
+            array = array.astype(float)
+        yield name, np.array(array, array.dtype.newbyteorder("<"), order="C")
+        return
+    for part_name, part in parts:
+        yield from _arrays_in(f"{name}.{part_name}", part)
+
+
+_taps = Taps()
+
+
+def tap(name: str, value: Any) -> Any:
+    """Names an array, tensor, or a tuple, list or dict of such, for ``--cpas-trace`` and
+    ``--cpas-parity``; it is returned."""
+    if _taps.listens:
+        _taps.tapped(name, value)
+    return value
+
+
+def draw(name: str, value: Any) -> Any:
+    """The same for what was drawn at random; what is returned is to be used."""
+    return _taps.drawn(name, value) if _taps.listens else value
+
+
+class TorchTaps:
+    """``with TorchTaps(network):`` names what every submodule returns, by its dotted path."""
+
+    def __init__(
+        self,
+        module: Any,
+        name: str = "network",
+        include: Sequence[str] = ("*",),
+        exclude: Sequence[str] = (),
+    ) -> None:
+        """``include`` and ``exclude``: patterns of paths; the module itself has the path ""."""
+        self._module, self._name = module, name
+        self._include, self._exclude = include, exclude
+        self._hooks: List[Any] = []
+
+    def __enter__(self) -> "TorchTaps":
+        for path, part in self._module.named_modules() if _taps.listens else ():
+            named = any(fnmatch.fnmatchcase(path, pattern) for pattern in self._include)
+            if named and not any(fnmatch.fnmatchcase(path, p) for p in self._exclude):
+                name = self._name + ("." + path if path else "")
+                self._hooks.append(part.register_forward_hook(_hook(name)))
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        while self._hooks:
+            self._hooks.pop().remove()
+
+
+def _hook(name: str) -> Any:
+    def hear(module: Any, inputs: Any, output: Any) -> None:
+        _taps.tapped(name, output)
+
+    return hear
 
 
 def now() -> float:
@@ -239,6 +391,10 @@ class Served:
     ) -> Tuple[Dict[str, Any], List[Any]]:
         method = self._methods[request["instance"]]
         plain = isinstance(getattr(method, "info", None), dict)
+        count = 3 * len(request["batch"])
+        arrays, replayed = arrays[:count], arrays[count:]
+        keys = [(name, call) for name, call in request.get("replay", [])]
+        _taps.begin(request.get("traced", False), dict(zip(keys, replayed)))
         batch = [
             _observation(told, arrays[3 * index : 3 * index + 3], plain)
             for index, told in enumerate(request["batch"])
@@ -253,6 +409,7 @@ class Served:
             predictions = method.predict(batch, request["seed"])
             _stages.synchronise()
             seconds, wall = now() - start, time.perf_counter() - wall
+        _taps.listens = False
         made: List[Any] = []
         answers = [
             _answer(index, answer, made) for index, answer in enumerate(_listed(predictions))
@@ -260,8 +417,12 @@ class Served:
         changed = [
             index for index, old in enumerate(before) if old.tobytes() != arrays[index].tobytes()
         ]
+        tapped = len(made)
+        made += _taps.arrays
         return {
             "answers": answers,
+            "values": _taps.names,
+            "values_from": tapped,
             "seconds": seconds,
             "wall": wall,
             "stages": _stages.seconds,
@@ -274,8 +435,12 @@ class Served:
 def _also_listening(stages: Stages) -> Iterator[None]:
     """Where an adapter has imported ``pytest_cpas.stages``, its stages are timed by that."""
     theirs: Any = sys.modules.get("pytest_cpas.stages")
-    if theirs is None or not stages.listens:
+    if theirs is None or not (stages.listens or _taps.listens):
         yield
+        return
+    if _taps.listens and hasattr(theirs, "hearing"):
+        with theirs.listening(stages), theirs.hearing(_taps):
+            yield
         return
     clock = theirs.StageClock(now, stages.synchronise)
     with clock.listening():

@@ -278,9 +278,9 @@ def add_options(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-parity",
         metavar="REFERENCE",
-        help="compare with a folder of --cpas-trace, with another method (a registered name or"
-        " package.module:Class), or with the method itself in another revision (git:REVISION),"
-        " value by value, and say where the two part",
+        help="compare with a folder of --cpas-trace, with another method (as --cpas-method names"
+        " one), or with the method itself in another revision (git:REVISION), value by value, and"
+        " say where the two part",
     )
     group.addoption(
         "--cpas-parity-map",

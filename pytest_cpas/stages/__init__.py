@@ -4,7 +4,7 @@ Nothing is imported here but Python's standard library, and nothing is done unti
 """
 
 from pytest_cpas.stages.clock import StageClock, Timed, listener, listening, stage
-from pytest_cpas.stages.taps import Listener, draw, hearing, tap
+from pytest_cpas.stages.taps import Listener, draw, heard_by, hearing, tap
 from pytest_cpas.stages.torch_taps import TorchTaps
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Timed",
     "TorchTaps",
     "draw",
+    "heard_by",
     "hearing",
     "listener",
     "listening",

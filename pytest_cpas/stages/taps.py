@@ -6,9 +6,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 ValueT = TypeVar("ValueT")
 
@@ -18,6 +18,8 @@ class Listener(Protocol):
 
     #: Whether networks are to compute in float64, where they can.
     wide: bool
+    #: What is to be handed out in place of what is drawn, by name and call.
+    replay: Mapping[tuple[str, int], Any]
 
     def tapped(self, name: str, value: object) -> None:
         """A value has been computed; it may be changed in place later."""

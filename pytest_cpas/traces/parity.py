@@ -173,7 +173,7 @@ def _parts(
     told += [f"explained by: {words}" for words in _agreed([each.fits for each in here])]
     if len(told) == 1:
         told += [f"known of it: {words}" for words in _agreed([each.near for each in here])]
-        told.append("no usual mistake that was tried explains it")
+        told += [] if drawn else ["no usual mistake that was tried explains it"]
     if replays := {each.replayed for each in here if each.replayed}:
         told += [f"with what {reference} has drawn: {words}" for words in sorted(replays)[:3]]
     told += _effect(parted)

@@ -56,7 +56,7 @@ class Recorder:
         self.values: list[Value] = []
         self.wide_parts: dict[str, str] = {}
         self.wide = wide
-        self._replay = dict(replay or {})
+        self.replay: Mapping[tuple[str, int], Any] = dict(replay or {})
         self._stages: list[str] = []
         self._calls: Counter[str] = Counter()
         self._held = 0
@@ -78,7 +78,7 @@ class Recorder:
         """Keep a copy, and hand out what is to be replayed, as the same kind of thing."""
         call = self._calls[name] + 1
         self.keep(name, value, "draw")
-        other = self._replay.get((name, call))
+        other = self.replay.get((name, call))
         return value if other is None else _like(name, value, other)
 
     def widened(self, name: str, problem: str) -> None:

@@ -22,6 +22,7 @@ class Listener:
     """Keeps what it hears of, as (name, kind, stage, value)."""
 
     wide = False
+    replay: dict[tuple[str, int], Any] = {}  # noqa: RUF012 - nothing is, and nobody writes to it
 
     def __init__(self, copied: Any) -> None:
         self.heard: list[tuple[str, str, str, Any]] = []

@@ -63,7 +63,7 @@ FRAMES = {
     "no list": (frame({"arrays": ["<f8"]}), "an array that is '<f8'"),
     "negative": (frame({"arrays": [["<f8", [-1]]]}), "an array that is"),
     "a truth value": (frame({"arrays": [["|u1", [True]]]}, b"1"), "an array that is"),
-    "axes": (frame({"arrays": [["<f8", [1] * 5]]}, bytes(8)), "an array that is"),
+    "axes": (frame({"arrays": [["<f8", [1] * 9]]}, bytes(8)), "an array that is"),
     "beyond": (frame({"arrays": [["<f8", [2**62]]]}, bytes(8)), "take more than its 8 bytes"),
     "too little": (frame({"arrays": [["<f8", [1]]]}, bytes(9)), "take 8 of its 9 bytes"),
     "many": (frame({"arrays": [["<f8", [0]]] * 10_001}), "an answer of 10001 arrays, at most"),

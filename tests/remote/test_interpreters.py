@@ -7,6 +7,7 @@ have a numpy of their time.
 import os
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ import workers
 
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.remote import RaisedThereError, remote_method
+from pytest_cpas.traces.comparing import compare
+from pytest_cpas.traces.recording import record
 
 NAMES = ("pypy3", *(f"python3.{minor}" for minor in range(6, 20)))
 
@@ -57,4 +60,22 @@ def test_worker_answers(path):
         assert np.array_equal(answer.rotation, here["rotation"])
         assert np.array_equal(answer.extents, here["extents"])
         kind.remote.close()
+        check_taps(path)
     assert workers.left_of(asked) == []
+
+
+def check_taps(path):
+    """What is named and drawn there is what is named and drawn by this interpreter."""
+    seen = tiny.Tiny(None).load(tiny.Tiny(None).samples[0]).observation
+    traces = []
+    for command in (path, sys.executable):
+        asked = workers.spec("tapping:Tapping", command=(command,))
+        method = remote_method(asked)()
+        method.load(None, "cpu")
+        traces.append(record(method, [seen], 3))
+        method.remote.close()
+        assert workers.left_of(asked) == []
+    found = compare(*traces)
+    assert {each.word for each in found.differences} == {"EXACT"}
+    assert not found.only_here
+    assert not found.only_there

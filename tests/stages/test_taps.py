@@ -15,7 +15,7 @@ class Ear:
 
     def __init__(self, wide=False, other=None):
         self.wide, self.other = wide, other
-        self.heard, self.widened_parts = [], {}
+        self.heard, self.widened_parts, self.replay = [], {}, {}
 
     def tapped(self, name, value):
         self.heard.append((name, value))
