@@ -117,8 +117,10 @@ def open_dataset(name: str, data_dir: Path | None) -> Dataset:
         raise RegistryError(f"data set {name!r}: the class {make.__name__} has no {lacks}")
     try:
         dataset = as_dataset(make(data_dir), name)
-    except (ContractError, OSError, ImportError, KeyboardInterrupt):
+    except (ContractError, OSError, KeyboardInterrupt):
         raise
+    except ImportError as error:  # which says what to install
+        raise RegistryError(f"data set {name!r}: {error}") from error
     except BaseException as error:
         if not isinstance(error, Exception):  # no way out of a verdict either
             told = f"{type(error).__name__}({message_of(error)})"

@@ -1,0 +1,60 @@
+"""What is not installed, not there or not allowed is told in words, whatever is asked for: a run
+ends with one of the exit statuses of README.md, and shows no traceback of the harness."""
+
+import sys
+
+import pytest
+from harness import RUN
+
+#: What is asked for; DIR is an empty folder, FILE a file that is not there.
+ASKED = {
+    # where all is there, what a method answers is tried elsewhere
+    "icp": ["--cpas-method=icp", "--cpas-dataset=synthetic-handheld", "-k", "listing"],
+    "icp, tabletop": ["--cpas-method=icp", "--cpas-dataset=synthetic-tabletop", "-k", "listing"],
+    "sdfest": ["--cpas-method=sdfest", "--cpas-dataset=tiny:Tiny"],
+    "spd": ["--cpas-method=spd", "--cpas-dataset=tiny:Tiny"],
+    "asmnet": ["--cpas-method=asmnet", "--cpas-dataset=tiny:Tiny", "--cpas-weights=DIR"],
+    "icaps": ["--cpas-method=icaps", "--cpas-dataset=tiny:Tiny", "--cpas-weights=DIR"],
+    "no data": ["--cpas-method=icp", "--cpas-dataset=real275"],
+    "an empty folder": ["--cpas-method=icp", "--cpas-dataset=redwood75", "--cpas-data=DIR"],
+    "its own meshes": ["--cpas-method=icp", "--cpas-dataset=synthetic:DIR"],
+    "check": ["--cpas-check-dataset=synthetic-handheld", "--cpas-limit=1"],
+    "check, no data": ["--cpas-check-dataset=real275", "--cpas-data=DIR"],
+    "robustness": [
+        *("--cpas-method=tiny:Perfect", "--cpas-dataset=synthetic-tabletop"),
+        *("--cpas-profile=robustness", "--cpas-limit=1"),
+    ],
+    "metrics": ["--cpas-metrics=open3d", "--cpas-examples=1"],
+    "predictions": ["--cpas-predictions=FILE", "--cpas-dataset=real275"],
+    "merge": ["--cpas-merge=FILE"],
+    "benchmark": ["--cpas-benchmark", "--cpas-method=spd", "--cpas-dataset=tiny:Tiny"],
+    "report": [
+        *("--cpas-method=tiny:Perfect", "--cpas-dataset=synthetic-tabletop"),
+        *("--cpas-limit=1", "--cpas-report=report"),
+    ],
+    "list": ["--cpas-list"],
+}
+
+#: What is not installed, by the names under which it is imported.
+MISSING = {
+    "open3d": ("open3d",),
+    "torch": ("torch",),
+    "all extras": ("open3d", "torch", "numba", "skimage", "yaml", "OpenEXR", "pooch", "requests"),
+}
+
+
+@pytest.mark.parametrize("missing", MISSING)
+@pytest.mark.parametrize("asked", ASKED)
+def test_what_is_missing_is_told(asked, missing, cpas, pytester, tmp_path, monkeypatch):
+    if "open3d" in MISSING[missing]:
+        # nothing has been rendered before
+        monkeypatch.setenv("CPAS_CACHE", str(tmp_path / "cache"))
+    for name in MISSING[missing]:
+        monkeypatch.setitem(sys.modules, name, None)
+    (tmp_path / "folder").mkdir()
+    words = [word.replace("DIR", str(tmp_path / "folder")) for word in ASKED[asked]]
+    result = pytester.runpytest_inprocess(*RUN, *words)
+    printed = result.stdout.str() + result.stderr.str()
+    assert result.ret in {0, 1, 2, 4}, printed
+    assert "INTERNALERROR" not in printed
+    assert "Traceback" not in printed
