@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -13,7 +13,7 @@ from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
 from pytest_cpas.evaluation.meanwhile import Meanwhile, Seen, seen
 from pytest_cpas.evaluation.measuring import measure
-from pytest_cpas.evaluation.other_side import with_other_side
+from pytest_cpas.evaluation.other_side import digests_there, heard_there, is_there, with_other_side
 from pytest_cpas.evaluation.program import look_again, program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
@@ -205,6 +205,17 @@ class MethodRun(Run):
                     names = ["what it imports"]
                 self._meanwhile.add(names, told=told)
         return self._meanwhile.changed
+
+    @property
+    def heard_there(self) -> Collection[tuple[str, str]]:
+        """Name and digest of each file that the method has read on its other side."""
+        return heard_there(self._method)
+
+    def digests_of_opened(self, names: Collection[str]) -> Mapping[str, str]:
+        """Of those on the other side of the method, as they are there."""
+        there = [name for name in names if is_there(name)]
+        here = super().digests_of_opened([name for name in names if not is_there(name)])
+        return {**here, **digests_there(self._method, there)}
 
     @property
     def unloaded(self) -> Method:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Collection
 from dataclasses import replace
 
 from pytest_cpas.evaluation.program import UNKNOWN, Program
@@ -10,7 +11,10 @@ from pytest_cpas.evaluation.surroundings import left_out
 from pytest_cpas.remote import OtherSide, RaisedThereError, RemoteMethod, WorkerError
 from pytest_cpas.types import Method
 
-__all__ = ["with_other_side"]
+__all__ = ["digests_there", "heard_there", "is_there", "with_other_side"]
+
+#: How the name of a file begins that was read on the other side.
+_THERE = "other side: "
 
 
 def with_other_side(program: Program, method: Method) -> Program:
@@ -34,6 +38,30 @@ def with_other_side(program: Program, method: Method) -> Program:
         revision="",  # of this side alone
         files={**program.files, **other.files},
     )
+
+
+def heard_there(method: Method) -> set[tuple[str, str]]:
+    """Name and digest of each file that ``method`` has read on its other side, if it has one."""
+    if not isinstance(method, RemoteMethod):
+        return set()
+    return {(f"{_THERE}{path}", digest) for path, digest in method.remote.heard}
+
+
+def is_there(name: str) -> bool:
+    """Whether a file is one of the other side, by its name."""
+    return name.startswith(_THERE)
+
+
+def digests_there(method: Method, names: Collection[str]) -> dict[str, str]:
+    """Digests of files of the other side as they are now, by their names; of none that cannot be
+    asked for."""
+    if not isinstance(method, RemoteMethod) or not names:
+        return dict.fromkeys(names, UNKNOWN)
+    try:
+        now = method.remote.digests([name.removeprefix(_THERE) for name in names])
+    except (WorkerError, RaisedThereError):
+        now = {}
+    return {name: now.get(name.removeprefix(_THERE), UNKNOWN) for name in names}
 
 
 def _digest(text: str) -> str:

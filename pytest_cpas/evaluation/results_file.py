@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from pytest_cpas._files import LinkError, check_no_link
-from pytest_cpas.evaluation.opened import differences, digest_of_opened
+from pytest_cpas.evaluation.opened import differences
 from pytest_cpas.evaluation.program import UNKNOWN
 from pytest_cpas.evaluation.results import (
     FORMAT,
@@ -69,6 +69,7 @@ class ResultsFile:
         self.path = folder / f"{shard.stem_of(run)}.jsonl"
         self.header = Header.of(run, shard)
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
+        self._digests = run.digests_of_opened
         self._changed_meanwhile, self._told = run.changed_meanwhile, set[str]()
         self._opened, self._told_opened = opened, set[tuple[str, str]]()
         self.rows: Mapping[str, Row] = {}
@@ -106,7 +107,7 @@ class ResultsFile:
         if there.changed:
             programs = [f"changed while it ran: {named(there.changed)}"]
         elif not programs:
-            programs = differences(there.opened, {n: digest_of_opened(n) for n in there.opened})
+            programs = differences(there.opened, self._digests(there.opened))
         programs += [
             f"the {whose} sources are in no file that was seen, so they may have changed"
             for key, whose in (("code", "method's"), ("data_code", "data set's"))

@@ -14,6 +14,7 @@ import scipy
 from threadpoolctl import threadpool_info
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
+from pytest_cpas.evaluation.opened import digest_of_opened
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.facts import fact, in_order
 from pytest_cpas.protocols import (
@@ -186,6 +187,10 @@ class Run(ABC):
     @abstractmethod
     def judge(self, ref: SampleRef) -> Row:
         """The row of one sample; raises :class:`SampleError`."""
+
+    def digests_of_opened(self, names: Collection[str]) -> Mapping[str, str]:
+        """A digest of each of some files, by name, as they are now."""
+        return {name: digest_of_opened(name) for name in names}
 
     def changed_meanwhile(self, *, thoroughly: bool = False) -> Mapping[str, bool]:
         """Names of what has changed of the program since the run was made, and whether golden

@@ -21,6 +21,9 @@ __all__ = ["OtherSide", "RaisedThereError", "Remote"]
 #: How often a worker is started again in a run, after it died or was ended.
 MOST_RESTARTS = 3
 
+#: Files that are read there, and remembered.
+_MOST_HEARD = 2000
+
 #: Digest of sources that nobody can tell of.
 _UNKNOWN = "unknown"
 
@@ -50,6 +53,8 @@ class Remote:
         self._ended = 0
         self._last = ""
         self.declared: Mapping[str, Any] = {}
+        #: Path and digest of files that were read there, and are not below its folders.
+        self.heard: set[tuple[str, str]] = set()
         self.hello: Mapping[str, Any] = {}
 
     def started(self) -> WorkerProcess:
@@ -122,6 +127,7 @@ class Remote:
         except BaseException:
             self._process = None
             raise
+        self._hear(answer.get("read"))
         if "raised" in answer:
             kind, message = str(answer["raised"]), str(answer.get("message", ""))
             if answer.get("contract") is True:
@@ -131,6 +137,18 @@ class Remote:
                 f"{told} ({self.interpreter})\n{indented(str(answer.get('traceback', '')))}"
             )
         return answer, given
+
+    def _hear(self, told: object) -> None:
+        for each in told if isinstance(told, list) else ():
+            if isinstance(each, list) and len(each) == 2 and len(self.heard) < _MOST_HEARD:
+                self.heard.add((str(each[0])[:4096], str(each[1])[:100]))
+
+    def digests(self, files: Sequence[str]) -> dict[str, str]:
+        """A digest of each of some files there, as they are now."""
+        self.started()
+        request = {"call": "digests", "files": list(files)}
+        told = self.ask(request, what="looking at what it has read", seconds=600)[0].get("value")
+        return {str(k): str(v) for k, v in told.items()} if isinstance(told, dict) else {}
 
     def _note_end(self, why: str) -> None:
         self._ended += 1

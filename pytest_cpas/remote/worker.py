@@ -16,6 +16,7 @@ import errno
 import fnmatch
 import hashlib
 import importlib
+import importlib.util
 import io
 import json
 import os
@@ -27,6 +28,7 @@ import signal
 import struct
 import sys
 import sysconfig
+import tempfile
 import time
 import traceback
 from pathlib import Path
@@ -52,6 +54,9 @@ _GRACE = 0.5
 
 #: Files that tell of a program, and their bytes up to which all of them count, each and together.
 _MOST_FILES, _WHOLE, _ALL = 20000, 2**23, 2**28
+
+#: Of a larger one so many pieces, of so many bytes, from end to end.
+_PIECES, _PIECE = 64, 2**16
 
 #: What an answer may hold, and what of it is numbers.
 _PARTS = ("rotation", "translation", "extents", "points", "vertices", "triangles", "score")
@@ -375,7 +380,10 @@ class Served:
         self._methods.pop(request["instance"], None)
 
     def _sources(self, request: Dict[str, Any]) -> Any:
-        return sources(request["path"], request["leave_out"])
+        return _sources.told(request["path"], request["leave_out"])
+
+    def _digests(self, request: Dict[str, Any]) -> Any:
+        return {path: _digest(path, True)[1] for path in request["files"]}
 
     def _facts(self, request: Dict[str, Any]) -> Any:
         return facts(self._device)
@@ -626,36 +634,94 @@ def memory(device: str) -> Dict[str, Any]:
     return {"host_bytes": host, "device_bytes": on_device}
 
 
-def sources(path: List[str], leave_out: List[str]) -> Dict[str, Any]:
-    """A digest of each file below the folders where modules are looked for, of modules from
-    elsewhere, and the distributions. ``unknown``: why that is not all; else empty.
+class Sources:
+    """The files that the method is made of, as far as they can be seen.
 
-    ``leave_out``: folders of data, weights, results and the like, which are known otherwise.
+    Those below the folders where modules are looked for, and modules from elsewhere, as both were
+    when they were first asked for; and what else is read since, of which Python tells from 3.8 on.
+    What was written by this process, or made since it began in the folder of temporary files, is
+    its own output.
     """
-    known = {os.path.realpath(folder) for folder in leave_out}
-    folders = [folder for folder in sys.path if folder and not _is_standard(folder)]
-    unknown = "" if path else "no path says in which folders its sources are"
-    files: Dict[str, str] = {}
-    total = 0
-    for folder in folders:
-        base = os.path.basename(os.path.abspath(folder)) or folder
-        while any(name.startswith(base + "/") for name in files):
-            base += "'"
-        for file in _below(folder, known) if os.path.isdir(folder) else [folder]:
-            if len(files) >= _MOST_FILES:
-                unknown = f"{folder} has more than {_MOST_FILES} files"
+
+    def __init__(self) -> None:
+        self._folders: List[str] = []
+        self._left_out: Set[str] = set()
+        self._modules: Optional[Set[str]] = None
+        self._began = time.time()
+        self._read: Set[str] = set()
+        self._written: Set[str] = set()
+        self._told: Set[str] = set()
+
+    def listen(self) -> None:
+        """Hear of files that are read from now on."""
+        if hasattr(sys, "addaudithook"):
+            sys.addaudithook(self._hear)  # novermin
+
+    def _hear(self, event: str, arguments: Tuple[Any, ...]) -> None:
+        if event != "open" or not isinstance(arguments[0], (str, bytes)):
+            return
+        with contextlib.suppress(Exception):  # whoever opens the file is not disturbed
+            path = os.path.abspath(os.fsdecode(arguments[0]))
+            if path.endswith(".pyc"):
+                path = importlib.util.source_from_cache(path)
+            writes = arguments[2] & (os.O_WRONLY | os.O_RDWR)
+            (self._written if writes else self._read).add(path)
+
+    def news(self) -> List[List[str]]:
+        """Path and digest of each file that was read, is none of the others, and was not told."""
+        if self._modules is None:
+            return []
+        paths, self._read = self._read - self._told - self._written, set()
+        self._told |= paths
+        return [[path, _digest(path, True)[1]] for path in sorted(paths) if self._is_new(path)]
+
+    def _is_new(self, path: str) -> bool:
+        if re.match(r"/(proc|sys|dev)/", path) or _is_standard(path):
+            return False
+        if not os.path.isfile(path) or path in (self._modules or ()):
+            return False
+        if any(_is_below(path, folder) for folder in (*self._folders, *self._left_out)):
+            return False
+        temporary = _is_below(path, tempfile.gettempdir())
+        return not (temporary and os.path.getctime(path) >= self._began)
+
+    def told(self, path: List[str], leave_out: List[str]) -> Dict[str, Any]:
+        """A digest of each file by name, and the distributions; ``unknown``: why that is not all,
+        else empty. ``leave_out``: folders of data, weights, results, which are known otherwise."""
+        if self._modules is None:
+            places = [os.path.realpath(folder) for folder in sys.path if folder]
+            self._folders = [p for p in dict.fromkeys(places) if not _is_standard(p)]
+            self._left_out = {os.path.realpath(folder) for folder in leave_out}
+        if self._modules is None or not hasattr(sys, "addaudithook"):
+            self._modules = set(self._other_modules())
+        unknown = "" if path else "no path says in which folders its sources are"
+        files: Dict[str, str] = {}
+        total = 0
+        for folder in self._folders:
+            base = os.path.basename(folder) or folder
+            while any(name.startswith(base + "/") for name in files):
+                base += "'"
+            for file in _below(folder, self._left_out) if os.path.isdir(folder) else [folder]:
+                if len(files) >= _MOST_FILES:
+                    unknown = f"{folder} has more than {_MOST_FILES} files"
+                    break
+                size, digest = _digest(file, total < _ALL)
+                total += size
+                files[base + "/" + os.path.relpath(file, folder).replace(os.sep, "/")] = digest
+            if unknown:
                 break
-            size, digest = _digest(file, total < _ALL)
-            total += size
-            files[base + "/" + os.path.relpath(file, folder).replace(os.sep, "/")] = digest
-        if unknown:
-            break
-    for name, module in sorted(sys.modules.items()):
-        file = getattr(module, "__file__", None) or ""
-        seen = any(_is_below(file, folder) for folder in folders) or _is_standard(file)
-        if name not in ("__main__", "cpas_worker") and os.path.isfile(file) and not seen:
-            files[name] = _digest(file, True)[1]
-    return {"files": files, "distributions": _distributions(), "unknown": unknown}
+        files.update((file, _digest(file, True)[1]) for file in self._modules)
+        return {"files": files, "distributions": _distributions(), "unknown": unknown}
+
+    def _other_modules(self) -> Iterator[str]:
+        for name, module in list(sys.modules.items()):
+            file = getattr(module, "__file__", None) or ""
+            known = any(_is_below(file, folder) for folder in self._folders) or _is_standard(file)
+            if name not in ("__main__", "cpas_worker") and os.path.isfile(file) and not known:
+                yield os.path.abspath(file)
+
+
+_sources = Sources()
 
 
 def _is_standard(place: str) -> bool:
@@ -671,15 +737,17 @@ def _is_below(place: str, folder: Optional[str]) -> bool:
 
 
 def _below(folder: str, leave_out: Set[str]) -> Iterator[str]:
-    for at, folders, names in os.walk(folder, followlinks=False):
+    been: Set[str] = set()
+    for at, folders, names in os.walk(folder, followlinks=True):
         if at != folder and ("pyvenv.cfg" in names or "conda-meta" in folders):
             folders[:] = []  # an environment, whose distributions have versions
             continue
+        been.add(os.path.realpath(at))
         folders[:] = sorted(
             name
             for name in folders
             if not re.match(r"__pycache__$|\.(git|hypothesis|benchmarks|\w+_cache)$", name)
-            and os.path.realpath(os.path.join(at, name)) not in leave_out
+            and os.path.realpath(os.path.join(at, name)) not in leave_out | been
         )
         for name in sorted(names):
             if not name.endswith(".pyc"):
@@ -687,20 +755,20 @@ def _below(folder: str, leave_out: Set[str]) -> Iterator[str]:
 
 
 def _digest(file: str, whole: bool) -> Tuple[int, str]:
-    """Bytes that were read of a file, and their digest: all, or of a large one both ends."""
+    """Bytes that were read of a file, and their digest: all, or of a large one some pieces."""
     try:
         if not os.path.isfile(file):
             return 0, "no file"
         size = os.path.getsize(file)
         digest = hashlib.sha256(str(size).encode("ascii"))
         with open(file, "rb") as opened:
-            if whole and size <= _WHOLE:
+            if (whole and size <= _WHOLE) or size <= _PIECE:
                 digest.update(opened.read())
                 return size, digest.hexdigest()[:16]
-            digest.update(opened.read(2**16))
-            opened.seek(max(size - 2**16, 0))
-            digest.update(opened.read(2**16))
-        return 2**17, digest.hexdigest()[:16] + " in part"
+            for place in range(_PIECES):
+                opened.seek(place * (size - _PIECE) // (_PIECES - 1))
+                digest.update(opened.read(_PIECE))
+        return _PIECES * _PIECE, digest.hexdigest()[:16] + " in part"
     except OSError as error:
         return 0, f"unread: {error.strerror}"
 
@@ -750,6 +818,7 @@ def serve(token: str, requests: int, answers: int) -> None:
             answer, made = served.answer(*received)
         except BaseException as error:  # sys.exit() is no way out either
             answer = _told(error)
+        answer["read"] = _sources.news()[:1000]
         sys.stdout.flush()
         sys.stderr.flush()
         line.send(answer, made)
@@ -805,6 +874,7 @@ def main(token: str) -> None:
         os.setsid()
         _set_process_option(1, signal.SIGKILL)  # should the other one be killed
         _forget_in_copies(requests, answers)
+    _sources.listen()
     with contextlib.suppress(Exception):
         import faulthandler
 

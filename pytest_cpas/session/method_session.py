@@ -107,6 +107,7 @@ class CpasSession(SuiteSession):
     def __init__(self, config: pytest.Config) -> None:
         """Resolve methods, data sets and predictions; :class:`pytest.UsageError` if that fails."""
         super().__init__(config, "test_samples.py", "cpas")
+        config.add_cleanup(close_all)
         take_programs(getattr(config, "workerinput", {}).get(_PROGRAMS, {}))
         with usage_errors(
             registry.RegistryError,
@@ -199,10 +200,6 @@ class CpasSession(SuiteSession):
         # where -k left the checks out, they stop nothing
         return self.stages[first].wrong if first in self._with_contract else ""
 
-    def pytest_unconfigure(self) -> None:
-        """End the workers of methods in other interpreters."""
-        close_all()
-
     # -- items ------------------------------------------------------------------------------
 
     @pytest.hookimpl(trylast=True)
@@ -256,6 +253,7 @@ class CpasSession(SuiteSession):
         if ITEM_RESULT not in item.stash:
             return None
         run = item.callspec.params["run"]  # type: ignore[attr-defined]
+        self._hear()
         opened = [] if self.is_controller else self._opened.news()
         return self.runs.index(run), item.stash[ITEM_RESULT].plain(), opened
 
@@ -269,8 +267,14 @@ class CpasSession(SuiteSession):
         with self._ending_the_run():
             collected.add(result)
 
+    def _hear(self) -> None:
+        """Take in which files methods in other interpreters have read."""
+        for run in self.runs:
+            self._opened.take(run.heard_there if isinstance(run, MethodRun) else ())
+
     def keep(self, run: Run, row: Row) -> None:
         """Keep a row whose item has not ended, and may never end."""
+        self._hear()
         if self.is_controller:
             with self._ending_the_run():
                 self.collected[run].keep(row)

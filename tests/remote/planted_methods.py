@@ -4,6 +4,7 @@ The fault is in the second sample of tests/tiny.py, whose first pixel tells it.
 """
 
 # ruff: noqa: NPY002, RUF012, SIM105 - as such methods are written
+import importlib
 import os
 import re
 import signal
@@ -266,6 +267,16 @@ class Elsewhere(Good):
             assert file.read() == b"weights"
         assert os.environ["WIDTH"] == "3"
         assert "ONLY_HERE" not in os.environ
+
+
+class ReadsElsewhere(Good):
+    def right(self):
+        folder = os.getcwd() + "-" + "more"
+        sys.path.append(folder)
+        importlib.import_module("late" + "_module")
+        with open(os.path.join(folder, "settings" + ".txt")) as file:
+            assert file.read().startswith("3")
+        return super().right()
 
 
 class Staged(Good):

@@ -16,9 +16,9 @@ from harness import RUN
 NAMED = """
 [tool.pytest-cpas.methods.{name}]
 command = [{python!r}]
-class = "there.{cls}"
-path = ["."]
-env = {{ {mark} = {value!r}, ASLEEP = "asleep" }}
+class = "{cls}"
+path = ["there"]
+env = {{ {mark} = {value!r}, ASLEEP = "asleep", PYTHONPATH = "" }}
 """
 
 
@@ -57,6 +57,39 @@ def test_rows_are_reused_while_the_other_side_is_the_same(there, pytester):
     changed.stdout.fnmatch_lines(["rows: computed 12*not reused 12 of another program*"])
 
 
+@pytest.fixture
+def more(pytester):
+    """What the method of :class:`planted_methods.ReadsElsewhere` reads, beside the project."""
+    folder = pytester.path.parent / f"{pytester.path.name}-more"
+    folder.mkdir()
+    (folder / "late_module.py").write_text("WIDTH = 3\n")
+    (folder / "settings.txt").write_text("3\n")
+    return folder
+
+
+def test_what_is_read_there_from_elsewhere_belongs_to_the_program(there, more):
+    """Also a module from a folder that no path names, and a file whose name is made."""
+    command = ("planted_methods:ReadsElsewhere", "--cpas-results=out")
+    there(*command).stdout.fnmatch_lines(["rows: computed 12"])
+    there(*command).stdout.fnmatch_lines(["rows: *reused 12 from *"])
+    for name in ("late_module.py", "settings.txt"):
+        with (more / name).open("a") as file:
+            file.write("\n")
+        result = there(*command)
+        result.stdout.fnmatch_lines(
+            [f"rows: computed 12*not reused 12 of another program (*{name}*"]
+        )
+
+
+def test_workers_of_xdist_have_one_each_and_tell_what_it_reads(there, more, pytester):
+    command = ("planted_methods:ReadsElsewhere", "--cpas-results=out")
+    result = there(*command, "-n2", start="runpytest_subprocess")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(["rows: computed 12"])
+    [file] = pytester.path.glob("out/*.jsonl")
+    assert f'"other side: {more / "settings.txt"}":' in file.read_text()
+
+
 def test_rows_of_what_cannot_be_identified_are_not_reused(there, pytester, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(pytester.path / "there"), prepend=os.pathsep)
     monkeypatch.setenv(workers.MARK, there.asked.env[workers.MARK])
@@ -81,17 +114,11 @@ def test_limit_ends_the_worker_and_not_the_run(there):
     )
 
 
-def test_workers_of_xdist_have_one_each(there):
-    result = there("tiny:Perfect", "-n2", start="runpytest_subprocess")
-    assert result.ret == 0
-    result.stdout.fnmatch_lines(["rows: computed 12"])
-
-
 def test_what_cannot_be_reached_is_a_usage_error(there):
     result = there("tiny:Perfekt")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(
-        ["ERROR: method 'there': the class there.tiny:Perfekt cannot be loaded there: Attr*"]
+        ["ERROR: method 'there': the class tiny:Perfekt cannot be loaded there: Attr*"]
     )
 
 
