@@ -110,6 +110,11 @@ def test_masks_poses_and_maps_agree(trees: dict[str, Path], name: str) -> None:
         assert lost <= 0.2, ref.id
 
 
+def test_the_cameras_are_as_is_said() -> None:
+    assert TABLETOP_2.camera == synthetic.TABLETOP.camera
+    assert HANDHELD_2.camera.fy == pytest.approx(1.2 * HANDHELD_2.camera.fx)
+
+
 def test_the_objects_are_those_of_the_first_two(trees: dict[str, Path], tmp_path: Path) -> None:
     old = {"synthetic-tabletop-2": synthetic.TABLETOP, "synthetic-handheld-2": synthetic.HANDHELD}
     for name, root in trees.items():
