@@ -28,6 +28,8 @@ _SELECTING = (*_METHOD, "--cpas-predictions", "--cpas-check-dataset")
 #: What does nothing unless one of others is given too. Settings that a project may keep for its own
 #: tests as well (data, weights, golden tables, device, seed) are not among them.
 NEEDS: Mapping[str, tuple[str, ...]] = {
+    "--cpas-dataset": _RUN,
+    "--cpas-benchmark": _METHOD,
     "--cpas-detections": _METHOD,
     "--cpas-report": _RUN,
     "--cpas-results": _RUN,
@@ -141,12 +143,7 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     _check_needs(config)
     _check_optional_values(config)
-    if (
-        options.cpas_method
-        or options.cpas_dataset
-        or options.cpas_predictions
-        or options.cpas_merge
-    ):
+    if options.cpas_method or options.cpas_predictions or options.cpas_merge:
         from pytest_cpas.session.method_session import CpasSession
 
         config.pluginmanager.register(CpasSession(config), "cpas-session")
@@ -158,7 +155,7 @@ def pytest_configure(config: pytest.Config) -> None:
         from pytest_cpas.session.dataset_session import DatasetSession
 
         config.pluginmanager.register(DatasetSession(config), "cpas-dataset-session")
-    if options.cpas_benchmark:
+    if options.cpas_benchmark and options.cpas_method:
         from pytest_cpas.session.speed_session import SpeedSession
 
         config.pluginmanager.register(SpeedSession(config), "cpas-speed-session")

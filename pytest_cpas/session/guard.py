@@ -33,12 +33,10 @@ from pytest_cpas.session.seen_items import SeenItems, below
 #: Options that make a run whose verdicts are owed, and those that only show something.
 _ASK = (
     "cpas_method",
-    "cpas_dataset",
     "cpas_predictions",
     "cpas_merge",
     "cpas_metrics",
     "cpas_check_dataset",
-    "cpas_benchmark",
 )
 _SHOW = (
     "help",

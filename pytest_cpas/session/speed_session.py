@@ -92,11 +92,6 @@ def speed_session(config: pytest.Config) -> SpeedSession:
 
 def check_usage(options: Namespace) -> None:
     """Raise :class:`pytest.UsageError` for what would time nothing, or time it wrongly."""
-    if not options.cpas_method:
-        raise pytest.UsageError(
-            "--cpas-benchmark times methods, and there is none: give --cpas-method NAME and"
-            " --cpas-dataset NAME"
-        )
     if getattr(options, "dist", "no") != "no":
         raise pytest.UsageError(
             "--cpas-benchmark under xdist: what runs beside a method changes its time, so nothing"

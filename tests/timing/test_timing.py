@@ -328,4 +328,4 @@ def test_options_need_each_other(pytester, cpas):
         result.stderr.fnmatch_lines(["ERROR: *does nothing without --cpas-benchmark*"])
     result = pytester.runpytest_inprocess(*RUN, "--cpas-benchmark")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines(["ERROR: --cpas-benchmark times methods, and there is none*"])
+    result.stderr.fnmatch_lines(["ERROR: --cpas-benchmark does nothing without --cpas-method*"])
