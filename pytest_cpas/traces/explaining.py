@@ -21,6 +21,9 @@ __all__ = ["Explanation", "explain"]
 
 Real = NDArray[np.float64]
 
+#: Values that came before it, with their names.
+_Earlier = Sequence[tuple[str, Real]]
+
 #: The relative difference that may be left, and the same without the mean.
 FITS, FITS_WITHOUT_MEAN = 1e-5, 1e-4
 #: Numbers of a value that are looked at; a larger one is not explained.
@@ -34,8 +37,8 @@ REACH = 2
 #: The share of a difference that what does not fit must remove to be named.
 NAMED_SHARE = 0.8
 
-#: Largest relative rounding error of numbers of so many bits.
-HALF_STEP = {"half precision (float16) or TF32": 2.0**-11, "bfloat16": 2.0**-8}
+#: Largest relative rounding error of numbers of half precision, and of TF32.
+HALF_STEP = 2.0**-11
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def explain(own: Value, theirs: Value, before: Sequence[tuple[Value, Value]] = (
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         count = int(np.count_nonzero(~np.isfinite(a)))
         return Explanation(near=[f"{count} of its {a.size} numbers are not finite"])
-    earlier = _earlier(before)
+    earlier = _earlier(before, own.shape)
     for alike in ((_rearranged,), (_of_others, _rescaled), (_per_channel,)):
         fits = [*dict.fromkeys(words for ask in alike for words in ask(a, b, earlier))]
         if fits:
@@ -70,20 +73,22 @@ def explain(own: Value, theirs: Value, before: Sequence[tuple[Value, Value]] = (
     return Explanation(near=[*_where(a, b), *_moved(a, b), *_small(a, b, kinds)])
 
 
-def _earlier(before: Sequence[tuple[Value, Value]]) -> list[tuple[str, Real]]:
-    """The last values before it that are whole and hold numbers, the nearest first; of several that
-    are the same, one."""
+def _earlier(before: Sequence[tuple[Value, Value]], shape: tuple[int, ...]) -> _Earlier:
+    """The values before it that are whole and hold numbers: those of its shape, with or without an
+    axis of length 1, then the last of the others. Of several that are the same, one."""
     found: list[tuple[str, Real]] = []
     seen: set[str] = set()
     left = MOST_BEFORE_NUMBERS
-    for own, _ in reversed(before):
-        if own.digest in seen:
+    alike = {shape, (1, *shape), shape[1:] if shape[:1] == (1,) else shape}
+    nearest = [own for own, _ in reversed(before)]
+    for own in sorted(nearest, key=lambda value: value.shape not in alike):
+        if own.digest in seen or not own.is_whole or own.kept.dtype.kind not in "fiub":
             continue
         seen.add(own.digest)
         left -= own.size
         if left < 0 or len(found) == MOST_BEFORE:
             break
-        if own.is_whole and own.kept.dtype.kind in "fiub" and own.size > 1:
+        if own.size > 1:
             found.append((own.told, own.kept.astype(float)))
     return found
 
@@ -96,9 +101,6 @@ def fits(a: Array, b: Array) -> bool:
     scale, varying = float(np.linalg.norm(b)), float(np.linalg.norm(b - mean))
     # of constant ones the mean is all there is
     return left <= FITS * scale and (left <= FITS_WITHOUT_MEAN * varying or varying <= FITS * scale)
-
-
-_Earlier = Sequence[tuple[str, Real]]
 
 
 def _rearranged(a: Real, b: Real, _: _Earlier) -> Iterator[str]:
@@ -195,12 +197,16 @@ def _broadcasts(name: str, x: Real, shape: tuple[int, ...]) -> Iterator[tuple[st
 
 
 def _softmaxes(a: Real, b: Real, name: str, x: Real) -> Iterator[str]:
-    if min(a.min(), b.min()) < 0 or max(a.max(), b.max()) > 1 + FITS:
+    if max(a.max(), b.max()) > 1 + FITS:
         return
+    logarithm = max(a.max(), b.max()) <= 0
+    kind = "logarithm of the softmax" if logarithm else "softmax"
     made = {axis: _softmax(x, axis) for axis in range(x.ndim) if x.shape[axis] > 1}
+    if logarithm:
+        a, b = np.exp(a), np.exp(b)
     for own, theirs in itertools.permutations(made, 2):
         if fits(a, made[own]) and fits(b, made[theirs]):
-            yield f"the softmax of {name} along axis {own}, in the reference along {theirs}"
+            yield f"the {kind} of {name} along axis {own}, in the reference along {theirs}"
 
 
 def _softmax(x: Real, axis: int) -> Real:
@@ -294,7 +300,7 @@ def _per_channel(a: Real, b: Real, _: _Earlier) -> Iterator[str]:
                 known = " (a mean, a deviation, or batch norm in training mode)"
                 words = f"scaled and offset along axis {axis}, each of {length} on its own"
                 if list(order) != sorted(order):
-                    bgr = ": BGR for RGB" if list(order) == [2, 1, 0] else ""
+                    bgr = " (of colours, BGR for RGB)" if list(order) == [2, 1, 0] else ""
                     yield f"in the order {list(order)} along axis {axis}{bgr}, {words}"
                 else:
                     yield f"{words}{known}"
@@ -353,8 +359,7 @@ def _where(a: Real, b: Real) -> Iterator[str]:
             span = f"{first} to {last}" if last > first else f"{first}"
             count = f", {len(touched)} of them," if len(touched) < last - first + 1 else ""
             yield f"along axis {axis}, of {length}, it differs at {span}{count} alone"
-    share = np.count_nonzero(differs) / differs.size
-    yield f"{100 * share:.2g} % of its numbers differ"
+    yield f"{np.count_nonzero(differs)} of its {differs.size} numbers differ"
 
 
 def _moved(a: Real, b: Real) -> Iterator[str]:
@@ -384,10 +389,11 @@ def _small(a: Real, b: Real, kinds: str) -> Iterator[str]:
     if a.shape != b.shape or kinds != "ff":
         return
     size = float(np.linalg.norm(a - b) / max(float(np.linalg.norm(b)), 1e-300))
-    for words, step in HALF_STEP.items():
-        if size <= step:
-            yield f"{size:.1e} is no more than one rounding to {words} makes, {step:.1e}"
-            return
+    if size <= HALF_STEP:
+        yield (
+            f"{size:.1e} is no more than one rounding to half precision or TF32 makes,"
+            f" {HALF_STEP:.1e}"
+        )
 
 
 def _channels(x: Any, axis: int) -> Any:

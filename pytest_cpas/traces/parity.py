@@ -229,7 +229,7 @@ def _effect(parted: Sequence[SampleParity]) -> list[str]:
     lines.append(
         f"outcomes: of {changed} samples one is correct and the other is not ({listed})"
         if changed
-        else "outcomes: correct at the same thresholds"
+        else "outcomes: none is another at any threshold"
     )
     return lines
 

@@ -1,8 +1,11 @@
 """Whole runs with --cpas-trace and --cpas-parity."""
 
 import json
+import shlex
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,9 +79,9 @@ def recorded_trace(traced):
     return traced
 
 
-def verdict(result):
+def verdict(result, method="perfect"):
     lines = unfolded(result).lines
-    return next(line for line in lines if line.startswith("parity of "))
+    return next(line for line in lines if line.startswith(f"parity of {method} on tiny: "))
 
 
 def test_trace_is_recorded_and_resumed(traced, pytester):
@@ -143,7 +146,7 @@ def test_what_explains_it_and_what_it_does(recorded_trace):
         [
             "*explained by: scaled by 1.5",
             "*answers: up to 0 deg and 0 mm apart (4 of 4 samples that part have both)",
-            "*outcomes: correct at the same thresholds",
+            "*outcomes: none is another at any threshold",
             "*PARTS*features: relative L2 5.0e-01*",
         ]
     )
@@ -269,3 +272,21 @@ def test_spread_is_measured_and_allowed(traced, pytester):
     assert line["spread_of"] == dict(told)
     assert np.isclose(float(told["noise"]), max(s for s in spread.values() if s), rtol=0.1)
     assert traced("Traced", "--cpas-parity=out").ret == 0
+
+
+def test_methods_in_another_interpreter(traced, pytester):
+    """On both sides; one's draws are taken over by the other."""
+    folder = Path(__file__).parents[1] / "remote"
+    shutil.copy(folder / "tapping.py", pytester.path)
+    python = shlex.quote(sys.executable)
+    names = [f"exec:{python}#tapping:{name}" for name in ("Tapping", "OtherSeed")]
+    arguments = ("--cpas-dataset=tiny:Tiny", "-k", "test_parity", "--cpas-limit=2")
+    (pytester.path / "parity.toml").write_text('replay = ["chosen"]\n')
+    for more, expected in (
+        ((), "PARTS AT chosen: "),
+        (("--cpas-parity-map=parity.toml",), "EXACT: 20 values of 2 samples are those of exec:"),
+    ):
+        result = pytester.runpytest_inprocess(
+            *RUN, f"--cpas-method={names[1]}", *arguments, f"--cpas-parity={names[0]}", *more
+        )
+        assert expected in verdict(result, "tapping")

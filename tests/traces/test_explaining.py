@@ -56,7 +56,7 @@ MISTAKES = {
     "normalised colours": (
         IMAGE[::-1] * np.array([2, 3, 4])[:, None, None] + np.array([1, 2, 3])[:, None, None],
         IMAGE,
-        "in the order [2, 1, 0] along axis 0: BGR for RGB",
+        "in the order [2, 1, 0] along axis 0 (of colours, BGR for RGB)",
     ),
     "half": (
         FEATURES.astype(np.float16).astype(np.float32),
@@ -94,6 +94,12 @@ def test_mistake_is_named(name):
             softmax(BEFORE, 2),
             BEFORE,
             "the softmax of prior along axis 1, in the reference along 2",
+        ),
+        (
+            np.log(softmax(BEFORE, 1)),
+            np.log(softmax(BEFORE, 2)),
+            BEFORE,
+            "the logarithm of the softmax of prior along axis 1, in the reference along 2",
         ),
         (
             ALIGNED,
@@ -144,6 +150,12 @@ def test_all_that_fit_are_named():
     }
 
 
+def test_values_of_its_shape_are_looked_at_however_long_ago():
+    others = [(f"x{i}", RANDOM.standard_normal((3, 3))) for i in range(300)]
+    told = found(FEATURES, FEATURES + BEFORE, ("prior", BEFORE), *others)
+    assert told.fits == ["prior is added in the reference, and not here"]
+
+
 def test_part_that_differs_is_named():
     own = FEATURES.copy()
     own[0, 30:, 7] += RANDOM.standard_normal(10)
@@ -151,6 +163,7 @@ def test_part_that_differs_is_named():
     assert not told.fits
     assert "along axis 1, of 40, it differs at 30 to 39 alone" in told.near
     assert "along axis 2, of 50, it differs at 7 alone" in told.near
+    assert "10 of its 2000 numbers differ" in told.near
 
 
 def test_part_of_a_pixel_is_measured():
