@@ -17,6 +17,9 @@ ENV = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 #: The same for a process that keeps what it compiles, whatever is usual on this machine.
 KEEPS = {**ENV, "PYTHONDONTWRITEBYTECODE": ""}
 
+#: All extras.
+EVERYTHING = "benchmark,exr,fast,fetch,open3d,sdf,torch,xdist"
+
 
 def install(session: nox.Session, *requirements: str) -> None:
     session.install("--constraint", "constraints.txt", *requirements)
@@ -42,7 +45,7 @@ def demo(session: nox.Session) -> None:
 @nox.session
 def tests(session: nox.Session) -> None:
     """The project's own tests, but those that take minutes, which ``ports`` and ``stress`` run."""
-    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
+    install(session, "-e", f".[{EVERYTHING}]", "--group", "test")
     quick = ("-m", "not minutes")
     # imports every module: else each of the processes that tests start might compile them anew
     session.run("pytest", "-qq", "tests/test_public_names.py", env=KEEPS)
@@ -60,14 +63,14 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def types(session: nox.Session) -> None:
     """Static types, strict."""
-    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "types")
+    install(session, "-e", f".[{EVERYTHING}]", "--group", "types")
     session.run("mypy")
 
 
 @nox.session
 def benchmarks(session: nox.Session) -> None:
     """Ratios against peers, measured in the same run."""
-    install(session, "-e", ".[fast,open3d,sdf,torch]")
+    install(session, "-e", ".[benchmark,fast,open3d,sdf,torch]")
     session.install("--no-deps", "cpas_toolbox==1.0.0", "absl-py")
     for script in session.posargs or sorted(str(p) for p in Path("benchmarks").glob("bench_*.py")):
         session.run("python", script, env=ENV)
@@ -138,7 +141,7 @@ def interpreters(session: nox.Session) -> None:
 def docs(session: nox.Session) -> None:
     """The documentation, in site/, with the report of a run that is made for it."""
     # every method is imported to be asked for what it declares
-    install(session, "-e", ".[open3d,sdf,torch]", "--group", "docs")
+    install(session, "-e", ".[benchmark,open3d,sdf,torch]", "--group", "docs")
     session.run(
         "pytest",
         "--cpas-method=icp",
@@ -197,7 +200,7 @@ def stress(session: nox.Session) -> None:
     """Kill runs and writers at 200 random moments, and golden updates at every step: the old table
     or the new one is there, and each run is resumed and ends with the same table. Then the tests
     of whole runs that ``tests`` leaves out."""
-    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
+    install(session, "-e", f".[{EVERYTHING}]", "--group", "test")
     session.run("python", "tests/session/stress_kills.py", *session.posargs, env=ENV)
     enumerated = ("tests/golden/test_golden_kills.py", "tests/evaluation/test_results_file.py")
     session.run("pytest", *enumerated, env=ENV)
@@ -208,7 +211,7 @@ def stress(session: nox.Session) -> None:
 @nox.session
 def stress_timing(session: nox.Session) -> None:
     """Find a planted slow-down of 30 %, and none where there is none, on a busy machine."""
-    install(session, "-e", ".")
+    install(session, "-e", ".[benchmark]")
     session.run("python", "tests/timing/stress_timing.py", *session.posargs, env=ENV)
 
 
@@ -216,7 +219,7 @@ def stress_timing(session: nox.Session) -> None:
 def fuzz(session: nox.Session) -> None:
     """Damage every format that is read, 20000 times by seeded mutations, then a minute for each
     reader guided by coverage; ``-- COUNT [SEED]`` for others of the first kind alone."""
-    install(session, "-e", ".[exr,fast,fetch,open3d,sdf,torch,xdist]", "--group", "test")
+    install(session, "-e", f".[{EVERYTHING}]", "--group", "test")
     session.run("python", "tests/reading/fuzzing.py", *(session.posargs or ["20000"]), env=ENV)
     session.run("pytest", "tests/reading/test_pickle_fuzz.py", env=ENV | {"CPAS_FUZZ": "20000"})
     if not session.posargs and session.python is None and sys.version_info < (3, 14):

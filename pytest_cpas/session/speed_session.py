@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,11 @@ def check_usage(options: Namespace) -> None:
         raise pytest.UsageError(
             "--cpas-benchmark under xdist: what runs beside a method changes its time, so nothing"
             " would be measured or judged. Leave out --numprocesses and --dist (or give -n 0)"
+        )
+    if importlib.util.find_spec("pytest_benchmark") is None:
+        raise pytest.UsageError(
+            "--cpas-benchmark measures with pytest-benchmark, which is not installed:"
+            " pip install 'pytest-cpas[benchmark]'"
         )
     if not hasattr(options, "benchmark_disable"):
         raise pytest.UsageError(

@@ -28,7 +28,7 @@ def machine(facts: ProcessFacts) -> MachineDocument:
 
 @functools.cache
 def _cpu() -> str:
-    """The model's name, by py-cpuinfo, with which pytest-benchmark describes machines as well."""
+    """The model's name, by the cpuinfo that pytest-benchmark brings, and describes machines with."""
     return str((get_cpu_info() or {}).get("brand_raw") or platform.machine())
 
 

@@ -39,7 +39,18 @@ ASKED = {
 MISSING = {
     "open3d": ("open3d",),
     "torch": ("torch",),
-    "all extras": ("open3d", "torch", "numba", "skimage", "yaml", "OpenEXR", "pooch", "requests"),
+    "pytest-benchmark": ("pytest_benchmark", "cpuinfo"),
+    "all extras": (
+        "open3d",
+        "torch",
+        "numba",
+        "skimage",
+        "yaml",
+        "OpenEXR",
+        "pooch",
+        "requests",
+        "cpuinfo",
+    ),
 }
 
 

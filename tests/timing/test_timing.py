@@ -1,5 +1,6 @@
 """Verdicts on speed in whole runs of pytest, with clocks of our own."""
 
+import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -329,3 +330,10 @@ def test_options_need_each_other(pytester, cpas):
     result = pytester.runpytest_inprocess(*RUN, "--cpas-benchmark")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["ERROR: --cpas-benchmark does nothing without --cpas-method*"])
+
+
+def test_what_it_needs_is_named(cpas, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    result = cpas("Perfect", "--cpas-benchmark", "-p", "no:benchmark")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: *not installed: pip install 'pytest-cpas[[]benchmark]'*"])
