@@ -28,7 +28,7 @@ def machine(facts: ProcessFacts) -> MachineDocument:
 
 @functools.cache
 def _cpu() -> str:
-    """The model's name, by the cpuinfo that pytest-benchmark brings, and describes machines with."""
+    """The model's name, by the cpuinfo that pytest-benchmark brings and uses itself."""
     return str((get_cpu_info() or {}).get("brand_raw") or platform.machine())
 
 
