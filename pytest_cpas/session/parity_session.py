@@ -102,8 +102,9 @@ class ParitySession(SuiteSession):
                 continue
             found: list[SampleParity] = [e.parity for e in collected.traced if e.parity]
             lacking = sum(each.lacking for each in collected.traced)
-            collected.verdict = judge_parity(found, traced.reference.told, lacking)
-            run = traced.run
+            run, reference = traced.run, traced.reference
+            notes = reference.notes(run.identity)
+            collected.verdict = judge_parity(found, reference.told, lacking, notes)
             report_outcome(
                 session,
                 f"cpas-parity::verdict[{run.method}-{run.dataset}]",

@@ -35,10 +35,11 @@ class ParityWord(VerdictWord):
 class SampleParity:
     """What comparing one sample has shown.
 
-    ``place``: of the first value that parts, among the ``count`` that were compared; ``parting``:
-    how; ``around``: those beside it. ``noise``: the largest difference before it. ``open``: from
-    where on nothing was compared. ``replayed``: what is found where the reference's draws are taken
-    over, if that was tried. ``flips``: the
+    ``place``: of the first value that parts; ``parting``: how; ``count``: values that were
+    compared, beside the observation, and ``exact`` those that are the same to the last bit;
+    ``around``: those beside the parting one. ``noise``: the largest difference before it.
+    ``open``: from where on nothing was compared. ``replayed``: what is found where the reference's
+    draws are taken over, if that was tried. ``flips``: the
     columns in which one of the two answers is correct and the other is not.
     """
 
@@ -71,10 +72,12 @@ class SampleParity:
         around: list[Difference] = []
         if place is not None:
             around = [*all_of[max(place - BEFORE, 0) : place + 1 + BEHIND]]
+        # what both have seen says nothing of them, unless it parts
+        made = [each for each in all_of if each.kind != "observation" or each.word == "PARTS"]
         return cls(
             sample=sample,
-            count=len(all_of),
-            exact=sum(each.word == "EXACT" for each in all_of),
+            count=len(made),
+            exact=sum(each.word == "EXACT" for each in made),
             place=place,
             parting=found.parting,
             noise=max(noisy, key=lambda each: each.relative, default=None),
@@ -112,11 +115,19 @@ class SampleParity:
         return cls(**told)
 
 
-def judge_parity(samples: Sequence[SampleParity], reference: str, lacking: int = 0) -> Verdict:
+def judge_parity(
+    samples: Sequence[SampleParity], reference: str, lacking: int = 0, notes: Sequence[str] = ()
+) -> Verdict:
     """The verdict on all samples; its first line says where the two part.
 
-    ``reference``: what was compared with, in words; ``lacking``: samples of which it has no trace.
+    ``reference``: what was compared with, in words; ``lacking``: samples of which it has no trace;
+    ``notes``: what is told besides.
     """
+    verdict = _judged(samples, reference, lacking)
+    return dataclasses.replace(verdict, details="\n  ".join([verdict.details, *notes]))
+
+
+def _judged(samples: Sequence[SampleParity], reference: str, lacking: int) -> Verdict:
     compared = [each for each in samples if each.count]
     left = f"; {reference} has no trace of {lacking} other samples" if lacking else ""
     if not compared:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from pytest_cpas.reading.paths import names
@@ -39,6 +39,10 @@ class Reference(ABC):
         Raises :class:`NoTraceError` and :class:`pytest_cpas.types.DataError`.
         """
 
+    def notes(self, identity: Mapping[str, str]) -> list[str]:
+        """What is to be told of it beside a run of this identity."""
+        return []
+
     def close(self) -> None:  # noqa: B027 - most hold nothing
         """Let go of what it holds."""
 
@@ -58,6 +62,15 @@ class RecordedReference(Reference):
         header = read_header(next(iter(self._samples.values())))
         self.header = header
         self.told = f"the trace of {header.method}"
+
+    def notes(self, identity: Mapping[str, str]) -> list[str]:
+        """Other weights, or another device, than those of the run."""
+        there = self.header.identity
+        return [
+            f"{self.told} is of other {name}: {there[name]}, and here {identity[name]}"
+            for name in ("weights", "device")
+            if name in there and name in identity and there[name] != identity[name]
+        ]
 
     def trace(self, ref: SampleRef, observation: Observation, seed: int) -> Trace | None:
         """As recorded; :class:`NoTraceError` if that was under another seed."""

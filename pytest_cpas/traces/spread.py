@@ -53,8 +53,8 @@ def with_spread(
             told[name] += f" before {changed}, where another choice is made"
         for key, size in found.items():
             spread[key] = max(spread.get(key, 0.0), size)
-        # touched inputs are not the very same ones
-        if changed and name != "noise":
+        # of the very same inputs, in the very same arithmetic
+        if changed and name in ("threads", "batch"):
             told[name] += ", so that nothing is compared from there on"
             spread |= dict.fromkeys(_from(trace, changed), math.inf)
     values = [

@@ -120,14 +120,14 @@ def test_trace_is_recorded_and_resumed(traced, pytester):
 @pytest.mark.parametrize(
     ("method", "expected"),
     [
-        ("Traced", "EXACT: 48 values of 4 samples are those of the trace of perfect"),
-        ("Noisy", "FLOAT NOISE: 48 values of 4 samples: 44 are * at features, of 1.0e-05*"),
+        ("Traced", "EXACT: 32 values of 4 samples are those of the trace of perfect"),
+        ("Noisy", "FLOAT NOISE: 32 values of 4 samples: 28 are * at features, of 1.0e-05*"),
         ("Scaled", "PARTS AT features: relative L2 5.0e-01, * in the stage network (scene_*"),
         ("Transposed", "PARTS AT features: shape (30, 20), the reference's is (20, 30), in *"),
         ("OtherInput", "PARTS AT input.depth.0: *, in the stage pre-processing (scene_*"),
         ("OtherSeed", "PARTS AT chosen: *, which is drawn at random, in the stage pre-*"),
         ("Failing", "PARTS AT answer: none (no idea), the reference has an answer (*; 1 of 4*"),
-        ("Mute", "EXACT: 32 values of 4 samples are those of the trace of perfect"),
+        ("Mute", "EXACT: 16 values of 4 samples are those of the trace of perfect"),
     ],
     ids=lambda value: value if value.isalpha() else "",
 )  # fmt: skip
@@ -160,7 +160,7 @@ def test_draws_are_taken_over_by_a_map(recorded_trace, pytester):
     (pytester.path / "parity.toml").write_text('replay = ["chosen"]\n')
     result = recorded_trace("OtherSeed", "--cpas-parity=out", "--cpas-parity-map=parity.toml")
     assert verdict(result).endswith(
-        "EXACT: 44 values of 4 samples are those of the trace of perfect"
+        "EXACT: 28 values of 4 samples are those of the trace of perfect"
     )
 
 
@@ -169,7 +169,7 @@ def test_names_and_axes_are_mapped(recorded_trace, pytester):
         '[[values]]\nreference = "features"\nhere = "features"\ntranspose = [1, 0]\n'
     )
     result = recorded_trace("Transposed", "--cpas-parity=out", "--cpas-parity-map=parity.toml")
-    assert "EXACT: 48 values" in verdict(result)
+    assert "EXACT: 32 values" in verdict(result)
 
 
 def test_map_is_proposed(recorded_trace, pytester):
@@ -188,11 +188,11 @@ class Renamed(Traced):
 """
     )
     result = recorded_trace("Renamed", "--cpas-parity=out", "--cpas-parity-propose=map.toml")
-    assert "EXACT: 44 values" in verdict(result)
+    assert "EXACT: 28 values" in verdict(result)
     told = (pytester.path / "map.toml").read_text()
     assert told.endswith('[[values]]\nreference = "features"\nhere = "encoder.out"\n')
     result = recorded_trace("Renamed", "--cpas-parity=out", "--cpas-parity-map=map.toml")
-    assert "EXACT: 48 values" in verdict(result)
+    assert "EXACT: 32 values" in verdict(result)
 
 
 def test_another_method_and_another_revision(traced, pytester):
@@ -200,7 +200,7 @@ def test_another_method_and_another_revision(traced, pytester):
         name = ("-c", "user.name=x", "-c", "user.email=x@example.org")
         subprocess.run(["git", *name, *arguments], cwd=pytester.path, check=True)
 
-    assert "EXACT: 48 values" in verdict(traced("Traced", "--cpas-parity=traced:Traced"))
+    assert "EXACT: 32 values" in verdict(traced("Traced", "--cpas-parity=traced:Traced"))
     told = verdict(traced("Scaled", "--cpas-parity=traced:Traced"))
     assert "PARTS AT features" in told
     assert "4 of 4 samples part from traced:Traced here" in told
@@ -212,7 +212,7 @@ def test_another_method_and_another_revision(traced, pytester):
     told = verdict(traced("Noisy", "--cpas-parity=git:HEAD"))
     assert "PARTS AT features: relative L2 2.5e-01" in told
     assert "part from git:HEAD here" in told
-    assert "EXACT: 48 values" in verdict(traced("Scaled", "--cpas-parity=git:HEAD"))
+    assert "EXACT: 32 values" in verdict(traced("Scaled", "--cpas-parity=git:HEAD"))
     result = traced("Scaled", "--cpas-parity=git:nothing")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["ERROR: git:nothing: no such revision of *"])
@@ -233,9 +233,16 @@ def test_method_that_raises_is_told(recorded_trace):
     assert "NOT COMPARED: no sample" in verdict(result)
 
 
+def test_other_weights_are_told(recorded_trace, pytester):
+    for path in (pytester.path / "out" / "perfect" / "tiny").glob("*.jsonl"):
+        path.write_text(path.read_text().replace('"device": "cpu"', '"device": "cuda"'))
+    told = unfolded(recorded_trace("Traced", "--cpas-parity=out"))
+    told.fnmatch_lines(["*the trace of perfect is of other device: cuda, and here cpu"])
+
+
 def test_samples_that_are_not_in_the_trace(recorded_trace):
     result = recorded_trace("Traced", "--cpas-parity=out", "--cpas-limit=12")
-    assert "48 values of 4 samples are those of the trace of perfect; the trace" in verdict(result)
+    assert "32 values of 4 samples are those of the trace of perfect; the trace" in verdict(result)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +291,7 @@ def test_methods_in_another_interpreter(traced, pytester):
     (pytester.path / "parity.toml").write_text('replay = ["chosen"]\n')
     for more, expected in (
         ((), "PARTS AT chosen: "),
-        (("--cpas-parity-map=parity.toml",), "EXACT: 20 values of 2 samples are those of exec:"),
+        (("--cpas-parity-map=parity.toml",), "EXACT: 12 values of 2 samples are those of exec:"),
     ):
         result = pytester.runpytest_inprocess(
             *RUN, f"--cpas-method={names[1]}", *arguments, f"--cpas-parity={names[0]}", *more

@@ -345,6 +345,9 @@ def test_verdict_on_all_samples():
 
 
 def test_nothing_in_common_is_no_parity():
+    seen = Trace(values=[value(X, "observation.depth", "observation")])
+    verdict = judge_parity([parity("s/0", seen, seen)], "r")
+    assert verdict.word is ParityWord.NOT_COMPARED
     verdict = judge_parity([parity("s/0", trace(a=X), trace(b=X))], "r")
     assert (verdict.word, verdict.failed) == (ParityWord.NOT_COMPARED, True)
     assert judge_parity([], "r", 3).details.startswith("no sample; r has no trace of 3 other")
