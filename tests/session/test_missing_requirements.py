@@ -39,7 +39,7 @@ ASKED = {
 MISSING = {
     "open3d": ("open3d",),
     "torch": ("torch",),
-    "pytest-benchmark": ("pytest_benchmark", "cpuinfo"),
+    "pytest-benchmark": ("cpuinfo",),
     "all extras": (
         "open3d",
         "torch",
