@@ -881,6 +881,10 @@ def main(token: str) -> None:
         faulthandler.enable()
         faulthandler.register(signal.SIGUSR1)
     serve(token, requests, answers)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(Exception):
+            stream.flush()
+    os._exit(0)  # neither threads nor libraries that tidy up for seconds are waited for
 
 
 def _forget_in_copies(*descriptors: int) -> None:
