@@ -18,7 +18,12 @@ from pytest_cpas.datasets._photographs import Lamp
 from pytest_cpas.datasets._scenes import Item, box
 from pytest_cpas.datasets.nocs import NocsTree
 from pytest_cpas.datasets.synthetic import Split, generate
-from pytest_cpas.datasets.synthetic_2 import HANDHELD_2, TABLETOP_2, SyntheticHandheld2
+from pytest_cpas.datasets.synthetic_2 import (
+    HANDHELD_2,
+    TABLETOP_2,
+    SyntheticHandheld2,
+    SyntheticTabletop2,
+)
 from pytest_cpas.types import CATEGORIES, Array, Camera, Mesh, Pose
 
 SPLITS = {split.name: split for split in (TABLETOP_2, HANDHELD_2)}
@@ -197,6 +202,27 @@ def test_roughness_is_that_of_the_noise() -> None:
     depth[:, 300:] += 300  # an edge is no roughness
     _, deviation = picture_statistics.roughness(depth)
     assert np.median(deviation) == pytest.approx(1.3, rel=0.02)
+
+
+@pytest.mark.minutes
+@pytest.mark.parametrize("kind", [SyntheticTabletop2, SyntheticHandheld2])
+def test_all_frames_are_as_recorded(kind: type[NocsTree]) -> None:
+    tree = kind(None)  # type: ignore[call-arg, arg-type]
+    assert tree.notes == ()
+    found = picture_statistics.of_folder(tree.root)
+    for statistic, digits in picture_statistics.STATISTICS.items():
+        ends = np.quantile(found[statistic], [0, 0.5, 1])
+        limit = 0.5 * 10.0**-digits + 1e-9
+        np.testing.assert_allclose(recorded()[tree.name][statistic], ends, atol=limit)
+
+
+@pytest.mark.minutes
+@pytest.mark.parametrize("name", SPLITS)
+def test_icp_matches_its_golden_tables(pytester: pytest.Pytester, name: str) -> None:
+    run = ("--cpas-method=icp", f"--cpas-dataset={name}", "--cpas-require-golden")
+    result = pytester.runpytest_inprocess("-q", "-p", "no:dash", *run)
+    result.stdout.fnmatch_lines(["golden: MATCHES (bottle, bowl, camera, can, laptop, mug)"])
+    assert result.ret == 0
 
 
 # -- the rest -------------------------------------------------------------------------------------
