@@ -106,7 +106,7 @@ def test_data_set_that_cannot_be_opened_is_told_with_its_folder(distribution, ho
     assert str(error).startswith(expected)
 
 
-@pytest.mark.parametrize("error", ["FileNotFoundError", "ContractError", "ImportError"])
+@pytest.mark.parametrize("error", ["FileNotFoundError", "ContractError"])
 def test_data_set_that_says_what_is_wrong_is_heard(distribution, error):
     text = f"""
 from pytest_cpas.types import ContractError
@@ -118,6 +118,14 @@ def make(data_dir):
     with pytest.raises(Exception, match=r"^the drive is not mounted$") as raised:
         registry.open_dataset("lab_words:make", None)
     assert raised.type.__name__ == error
+
+
+def test_what_a_data_set_needs_and_lacks_is_told(distribution):
+    text = "def make(data_dir):\n    raise ImportError('pip install the-drive')"
+    distribution("lab", "", lab_needs=text)
+    error = raised_by(registry.open_dataset, "lab_needs:make", None)
+    assert isinstance(error, registry.RegistryError)
+    assert str(error) == "data set 'lab_needs:make': pip install the-drive"
 
 
 def test_two_owners_of_a_name_are_told_apart(distribution):

@@ -13,7 +13,7 @@ from pytest_cpas.evaluation.estimates import (
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.merging import MergedRun, merge
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
-from pytest_cpas.evaluation.opened import digest_of_opened, opened_name
+from pytest_cpas.evaluation.opened import OWN, digest_of_opened, opened_name
 from pytest_cpas.evaluation.predictions import StoredRun
 from pytest_cpas.evaluation.program import found_programs, take_programs
 from pytest_cpas.evaluation.results import (
@@ -36,6 +36,7 @@ from pytest_cpas.evaluation.surroundings import (
 from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_seconds
 
 __all__ = [
+    "OWN",
     "Answer",
     "Answered",
     "DetectedRun",

@@ -28,7 +28,7 @@ READ = re.compile(
 
 #: What tells of a program, or grows while it runs, and is read by none, unless its text names it.
 TELLS = re.compile(
-    r"\..*|.*~|.*\.(md|rst|log|out|err|jsonl|lock|old|orig|bak|tmp|sw[op]|part)"
+    r"\..*|.*~|.*\.(md|rst|log|out|err|jsonl|lock|old|orig|bak|tmp|sw[op]|part|unfinished(-\w+)?)"
     r"|(.*[^a-z])?logs?(\.txt)?|(readme|licen[cs]e|copying|changelog|changes|notice)(\.txt)?",
     re.IGNORECASE | re.DOTALL,
 )
@@ -37,4 +37,5 @@ TELLS = re.compile(
 TOOLS = re.compile(
     r"test_.*\.py|.*_test\.py|conftest\.py|setup\.(py|cfg)|pyproject\.toml|noxfile\.py"
     r"|(pytest|tox)\.ini|mkdocs\.yml|(.*\.)?known\.toml"
+    r"|(.*[^a-z])?(junit|coverage|tests?|test-?results?)([^a-z].*)?\.(xml|html)"
 )

@@ -8,7 +8,10 @@ from pathlib import Path
 
 from pytest_cpas.evaluation.surroundings import digest_again, named
 
-__all__ = ["differences", "digest_of_opened", "opened_name"]
+__all__ = ["OWN", "differences", "digest_of_opened", "opened_name", "other_names"]
+
+#: In place of a digest: the program has written the file itself.
+OWN = "written"
 
 
 def opened_name(path: Path) -> str:
@@ -26,7 +29,17 @@ def digest_of_opened(name: str) -> str:
         return "unreadable"
 
 
+def other_names(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """The files that two programs have read, that were not the same, and that neither has written
+    itself."""
+    return sorted(
+        name
+        for name in before.keys() & now.keys()
+        if before[name] != now[name] and OWN not in (before[name], now[name])
+    )
+
+
 def differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """What to say of the files that two programs have read, and that were not the same."""
-    others = sorted(name for name in before.keys() & now.keys() if before[name] != now[name])
+    """What to say of :func:`other_names`."""
+    others = other_names(before, now)
     return [f"read, and changed since: {named(others)}"] if others else []

@@ -18,6 +18,7 @@ from pytest_cpas.evaluation.runs import Run, SampleError, Selection
 from pytest_cpas.facts import Detected, fact, pair_table
 from pytest_cpas.metrics.boxes import expect_pairs
 from pytest_cpas.protocols import Protocol, Ranking, facts_of, rank, ranking_columns
+from pytest_cpas.reading.files import sha256
 from pytest_cpas.submissions import (
     Answers,
     Given,
@@ -75,6 +76,7 @@ class StoredRun(Run):
         data set.
         """
         known = None if dataset is None else as_dataset(dataset)
+        self._path = path
         self._submission = read_submission(path, known)
         self._dataset = known or OwnTruth(self._submission)
         self._pairing = Pairing(self._submission, self._dataset)
@@ -115,6 +117,16 @@ class StoredRun(Run):
             licence="unknown",
             object_frame=self._submission.object_frame,
         )
+
+    @functools.cached_property
+    def files(self) -> Mapping[str, str]:  # type: ignore[override]  # those of others are known
+        """A digest of each file of the predictions, which are what answers; :class:`OSError`."""
+        found = sorted(self._path.rglob("*")) if self._path.is_dir() else [self._path]
+        return {
+            path.relative_to(self._path.parent).as_posix(): sha256(path, 2**50)[:16]
+            for path in found
+            if path.is_file()
+        }
 
     def judge(self, ref: SampleRef) -> Row:
         """The row of one sample; raises :class:`SampleError` for a broken pose."""

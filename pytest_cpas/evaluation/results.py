@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_cpas.evaluation import result_lines
+from pytest_cpas.evaluation.opened import OWN, other_names
 from pytest_cpas.evaluation.rows import Row
 from pytest_cpas.evaluation.runs import Run
 from pytest_cpas.evaluation.surroundings import changes
@@ -201,8 +202,8 @@ def parse_results(path: Path, content: bytes) -> Results:
                 changed += result_lines.several_texts("changed", value["changed"])
             elif "opened" in value:
                 files = result_lines.texts("opened", value["opened"])
-                changed += [name for name in files if opened.get(name, files[name]) != files[name]]
-                opened |= files
+                changed += other_names(opened, files)
+                opened |= {n: told for n, told in files.items() if opened.get(n) != OWN}
                 if len(opened) > _MOST_OPENED:
                     raise ValueError(f"more than {_MOST_OPENED} files were opened")
             elif "program" in value:

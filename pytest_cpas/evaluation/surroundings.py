@@ -81,20 +81,22 @@ _HOME = Path("~")
 _LONGEST_PATH = 200
 _NO_PATH = re.compile(r"[\0\n\t*?\"<>|{}$]|^\W*$")
 
-#: Folders whose files are known by other digests, or are written by the run.
+#: Folders, and files, that are known by other digests, or are written by the run.
 _left_out: set[Path] = set()
 
 
-def leave_out(folders: Iterable[Path]) -> None:
-    """Do not look into these: data and weights have digests of their own, results are written."""
-    for folder in folders:
+def leave_out(places: Iterable[Path]) -> None:
+    """Do not look at these files, or into these folders: data and weights have digests of their
+    own, results are written."""
+    for folder in places:
         with suppress(OSError, RuntimeError):
             _left_out.add(folder.resolve())
 
 
 def is_left_out(path: Path) -> bool:
-    """Whether a file is in one of the folders that :func:`leave_out` was told of."""
-    return not _left_out.isdisjoint(path.resolve().parents)
+    """Whether a file is one that :func:`leave_out` was told of, or in such a folder."""
+    path = path.resolve()
+    return not _left_out.isdisjoint((path, *path.parents))
 
 
 def left_out() -> frozenset[Path]:
@@ -239,7 +241,9 @@ class _Look:
         return path.name in self._words or not TELLS.fullmatch(path.name)
 
     def _counts(self, path: Path) -> bool:
-        return path in self._own or path.name in self._words or not TOOLS.fullmatch(path.name)
+        if path in self._own or path.name in self._words:
+            return True
+        return not TOOLS.fullmatch(path.name) and path not in _left_out
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:

@@ -8,9 +8,8 @@ reports them (:mod:`pytest_cpas.session.reporting`).
 from __future__ import annotations
 
 import functools
-import hashlib
 import sys
-from collections.abc import Collection, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,14 +25,12 @@ from pytest_cpas.evaluation import (
     Row,
     Run,
     found_programs,
-    is_installed,
     leave_out,
     take_programs,
 )
 from pytest_cpas.golden import orphans
 from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
-from pytest_cpas.reading.files import sha256
 from pytest_cpas.reading.text import folded
 from pytest_cpas.remote import close_all, project_folder
 from pytest_cpas.report.progress import watch
@@ -45,6 +42,7 @@ from pytest_cpas.session.contract_stage import contract_stages
 from pytest_cpas.session.judging import JudgedRun, judge, record_run
 from pytest_cpas.session.opened_files import opened_files
 from pytest_cpas.session.options import RunOptions
+from pytest_cpas.session.other_files import digests, outputs, plugin_files
 from pytest_cpas.session.own_settings import own_settings
 from pytest_cpas.session.protocol_names import resolve_protocols
 from pytest_cpas.session.reporting import Reporter
@@ -68,31 +66,6 @@ ITEM_RESULT = pytest.StashKey[ItemResult]()
 
 #: Where a worker's input has the programs of its methods and data sets.
 _PROGRAMS = "cpas_programs"
-
-
-def _plugins(config: pytest.Config) -> dict[str, set[Path]]:
-    """The conftest.py files of a run, and other plugins that are not installed: they can change
-    what a method answers."""
-    found: dict[str, set[Path]] = {"conftest": set(), "plugins": set()}
-    for plugin in config.pluginmanager.get_plugins():
-        file = getattr(plugin, "__file__", None)
-        own = str(getattr(plugin, "__name__", "")).partition(".")[0] == "pytest_cpas"
-        if not file or own:
-            continue
-        if Path(file).name == "conftest.py":
-            found["conftest"].add(Path(file))
-        elif not is_installed(Path(file)):
-            found["plugins"].add(Path(file))
-    return found
-
-
-def _digests(plugins: Mapping[str, Collection[Path]]) -> dict[str, str]:
-    digests = {}
-    for kind, files in plugins.items():
-        if files:
-            contents = "".join(sha256(file) for file in sorted(files) if file.is_file())
-            digests[kind] = hashlib.sha256(contents.encode()).hexdigest()[:16]
-    return digests
 
 
 class CpasSession(SuiteSession):
@@ -130,15 +103,15 @@ class CpasSession(SuiteSession):
                 ),
                 timeout=sample_seconds(config),
             )
-            leave_out(options.folders)
+            leave_out([*options.folders, *outputs(config)])
             if self.is_controller:
                 options.check_written()
             runs = resolve_runs(options)
-            plugins = _plugins(config)
+            plugins = plugin_files(config)
             watched = [file for files in plugins.values() for file in files]
             for run in runs:
                 if isinstance(run, MethodRun):
-                    run.provenance = {**run.provenance, **_digests(plugins)}
+                    run.provenance = {**run.provenance, **digests(plugins)}
                     run.files = {**run.files, **own_settings(config)}
                     run.began(began(config), watched)
             self._opened = opened_files()

@@ -32,13 +32,14 @@ _OURS = frozenset(
     }
 )
 
-_WRITES = os.O_WRONLY | os.O_RDWR
-
 #: Files that are remembered: a method with more has them in a folder of data.
 _MOST = 2000
 
 #: What is listened to, and which of its arguments names a file.
 _EVENTS = {"open": 0, "subprocess.Popen": 1, "import": 1, "ctypes.dlopen": 0}
+
+#: Folders that tools keep for themselves.
+_CACHES = frozenset({"__pycache__", ".pytest_cache", ".hypothesis", ".git"})
 
 _NO_FILES = ("/proc/", "/sys/", "/dev/")
 
@@ -51,14 +52,16 @@ _GONE: _Stamp = (0, 0, 0, 0, 0)
 class OpenedFiles:
     """What is read of files from now on, in this process, by code that is not the harness's.
 
-    A file that this process has written, or that was made in the folder of temporary files since,
-    is its own output.
+    A file that this process has changed itself, or that was made in the folder of temporary files
+    since, is its own output.
     """
 
     def __init__(self) -> None:
         self._began = time.time_ns()
         self._read: dict[str, _Stamp] = {}
+        #: Opened to be written; opened to be read and written, which may leave it as it is.
         self._written: set[str] = set()
+        self._both: set[str] = set()
         self._settled: dict[str, _Stamp] = {}
         self._told: set[tuple[str, str]] = set()
         self._handed_on: set[tuple[str, str]] = set()
@@ -80,9 +83,12 @@ class OpenedFiles:
         path = os.path.abspath(os.fsdecode(name))
         if path.startswith(self._elsewhere):
             return
-        if flags & _WRITES:
+        if flags & (os.O_WRONLY | os.O_TRUNC):
             self._written.add(path)
-        elif path not in self._written and _is_asked_by_others(frame):
+            return
+        if flags & os.O_RDWR:
+            self._both.add(path)
+        if _is_asked_by_others(frame):
             path = _source_of(path)
             found = _stamp(path)
             if found is not None and self._settled.get(path) != found:
@@ -101,14 +107,26 @@ class OpenedFiles:
 
     def told(self) -> Collection[tuple[str, str]]:
         """Names and digests of the files that were read up to now. One that was read twice, and
-        written by somebody in between, has two digests."""
-        from pytest_cpas.evaluation import digest_of_opened, is_installed, is_left_out, opened_name
+        written by somebody in between, has two digests; one that this process has written has that
+        for a digest."""
+        from pytest_cpas.evaluation import (
+            OWN,
+            digest_of_opened,
+            is_installed,
+            is_left_out,
+            opened_name,
+        )
 
+        own = self._settled.keys() & (self._written | self._both)
+        changed = [path for path in own if _stamp(path) != self._settled[path]]
+        self._told |= {(opened_name(Path(path)), OWN) for path in changed}
         while self._read:
             path, before = self._read.popitem()
             if (
                 len(self._settled) >= _MOST
                 or path in self._written
+                or (path in self._both and _stamp(path) != before)
+                or not _CACHES.isdisjoint(path.split(os.sep))
                 or is_installed(Path(path))
                 or is_left_out(Path(path))
                 or (before[-1] >= self._began and path.startswith(self._temporary))

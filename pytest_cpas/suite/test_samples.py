@@ -105,6 +105,10 @@ def test_sample(run: Run, refs: list[SampleRef], request: pytest.FixtureRequest)
             result.errors.append((ref.id, str(error)))
         except ResultsError as error:  # a disk does not take the answer
             end_run(error)
+        except BaseException as error:  # whatever a method raises that is no exception of a method
+            if ref.id in collected.judged_again:
+                result.errors.append((ref.id, f"judged again, it raised {type(error).__name__}"))
+            raise
     if len(errors) == 1 and errors[0].__cause__ is not None:
         raise errors[0]
     if errors:

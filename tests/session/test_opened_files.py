@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from harness import RUN
 
-from pytest_cpas.evaluation import digest_of_opened, opened_name
+from pytest_cpas.evaluation import OWN, digest_of_opened, opened_name
+from pytest_cpas.evaluation.opened import other_names
 from pytest_cpas.session import opened_files
 
 METHOD = """
@@ -18,8 +19,8 @@ from tiny import *
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
-def read(path):
-    with open(path) as file:
+def read(path, mode="r"):
+    with open(path, mode) as file:
         return file.read()
 
 def there(path):
@@ -71,6 +72,11 @@ WAYS = {
     "a module": (
         "{h}/k/onn.py",
         "(sys.path.insert(0, str(Path.home() / 'k')), importlib.import_module('on' + 'n').V)[1]",
+    ),
+    "to be written, too": ("{p}/.k/on", "read(os.path.join(HERE, '.' + 'k', 'o' + 'n'), 'r+')"),
+    "a memory map": (
+        "{p}/.k/on",
+        "bytes(np.memmap(os.path.join(HERE, '.' + 'k', 'o' + 'n'), dtype='u1')).decode()",
     ),
     "numpy": ("{p}/.k/on", "np.loadtxt(os.path.join(HERE, '.' + 'k', 'o' + 'n'))"),
     "a thread": (
@@ -182,6 +188,33 @@ def test_what_the_program_has_written_itself_is_not(mine, tmp_path):
     assert "reused 12" in rows(run())
 
 
+def test_what_pytest_and_the_plugin_write_is_not(mine):
+    """Into the project, too; with its cache, which workers read."""
+    write, run = mine
+    write("0")
+    outputs = ["--junitxml=junit.xml", "--log-file=run.xml", "--cpas-save-predictions=saved.jsonl"]
+    reports = ["--cpas-report=report", "-p", "cacheprovider", "-n2"]
+    assert run(*outputs, *reports).ret == 0
+    result = run(*outputs, *reports)
+    assert rows(result).startswith("rows: reused 12 from "), rows(result)
+
+
+def test_predictions_that_are_written_anew_are_others(mine, pytester):
+    names = ("--cpas-dataset=tiny:Tiny", "--cpas-results=kept")
+    saved = pytester.path / "saved.jsonl"
+    made = pytester.runpytest_inprocess(
+        *RUN, names[0], "--cpas-method=tiny:Perfect", f"--cpas-save-predictions={saved}"
+    )
+    assert made.ret == 0
+    again = [pytester.runpytest_inprocess(*RUN, *names, f"--cpas-predictions={saved}")]
+    again += [pytester.runpytest_inprocess(*RUN, *names, f"--cpas-predictions={saved}")]
+    assert "reused 12" in rows(again[-1])
+    *lines, last = saved.read_text().splitlines(keepends=True)
+    saved.write_text("".join([*lines, last.replace('"translation":[', '"translation":[ ')]))
+    again = pytester.runpytest_inprocess(*RUN, *names, f"--cpas-predictions={saved}")
+    assert "not reused 12 of another program (changed: saved.jsonl)" in rows(again)
+
+
 def test_a_file_that_changes_while_it_runs_is_told(mine, pytester):
     """It is read at each sample, and written by somebody else between two."""
     write, run = mine
@@ -243,6 +276,20 @@ def test_what_was_written_while_it_was_read_is_no_digest_of_either(tmp_path, tem
     [(name, digest)] = opened.told()
     assert digest.startswith(digest_of_opened(name))
     assert digest != digest_of_opened(name)
+
+
+def test_what_is_read_and_then_written_is_its_own(tmp_path, temporary):
+    path = tmp_path / "f"
+    path.write_text("0")
+    opened = opened_files.OpenedFiles()
+    heard(opened, path, os.O_RDWR)
+    name = opened_name(path)
+    before = {(name, digest_of_opened(name))}
+    assert {*opened.told()} == before
+    path.write_text("another")
+    assert {*opened.told()} == before | {(name, OWN)}
+    assert other_names(dict(before), {name: OWN}) == []
+    assert other_names(dict(before), {name: "another"}) == [name]
 
 
 def test_no_more_than_so_many_are_remembered(tmp_path, monkeypatch, temporary):
