@@ -65,14 +65,15 @@ class Difference:
 class Comparison:
     """What comparing a sample's traces has shown.
 
-    ``differences``: of the values that both name, in the reference's order; ``open``: the first
-    that differs where two right codes may, from which on nothing is compared; ``only_here`` and
-    ``only_there``: what one side alone names; ``explanation``: of the first that parts;
+    ``differences``: of the values that both name, in the reference's order; ``undecided``: the
+    first that differs where two right codes may, from which on nothing is compared;
+    ``only_here`` and ``only_there``: what one side alone names; ``explanation``: of the first that
+    parts;
     ``degrees``, ``millimetres``: how far the two answers are apart, None where one of them is none.
     """
 
     differences: Sequence[Difference]
-    open: str = ""
+    undecided: str = ""
     only_here: Sequence[str] = ()
     only_there: Sequence[str] = ()
     explanation: Explanation = field(default_factory=Explanation)
@@ -115,7 +116,7 @@ def compare(here: Trace, reference: Trace, replayed: Collection[str] = ()) -> Co
     degrees, millimetres = _apart(here, reference)
     return Comparison(
         differences=differences,
-        open=left_open,
+        undecided=left_open,
         only_here=[v.told for v in here.values if v.key not in names],
         only_there=[v.told for v in reference.values if v.key not in ours],
         explanation=explanation,

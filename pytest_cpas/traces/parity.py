@@ -38,8 +38,8 @@ class SampleParity:
     ``place``: of the first value that parts; ``parting``: how; ``count``: values that were
     compared, beside the observation, and ``exact`` those that are the same to the last bit;
     ``around``: those beside the parting one. ``noise``: the largest difference before it.
-    ``open``: from where on nothing was compared. ``replayed``: what is found where the reference's
-    draws are taken over, if that was tried. ``flips``: the
+    ``undecided``: from where on nothing was compared. ``replayed``: what is found where the
+    reference's draws are taken over, if that was tried. ``flips``: the
     columns in which one of the two answers is correct and the other is not.
     """
 
@@ -55,7 +55,7 @@ class SampleParity:
     degrees: float | None = None
     millimetres: float | None = None
     flips: Sequence[str] = field(default_factory=list)
-    open: str = ""
+    undecided: str = ""
     only_here: tuple[int, str] = (0, "")
     only_there: tuple[int, str] = (0, "")
     replayed: str = ""
@@ -87,7 +87,7 @@ class SampleParity:
             degrees=found.degrees,
             millimetres=found.millimetres,
             flips=[*flips],
-            open=found.open,
+            undecided=found.undecided,
             only_here=(len(found.only_here), some_of(found.only_here)),
             only_there=(len(found.only_there), some_of(found.only_there)),
             replayed=replayed,
@@ -250,10 +250,10 @@ def _with_lines(
 ) -> Verdict:
     """The verdict, with what one side alone names."""
     lines = [details]
-    if left_open := [each for each in compared if each.open]:
+    if undecided := [each.undecided for each in compared if each.undecided]:
         lines.append(
-            f"of {len(left_open)} samples nothing is compared from {left_open[0].open} on: float"
-            " noise makes another choice there"
+            f"of {len(undecided)} samples nothing is compared from {undecided[0]} on: float noise"
+            " makes another choice there"
         )
     for attribute, side in (("only_here", "the method"), ("only_there", "the reference")):
         most = max(compared, key=lambda each: getattr(each, attribute)[0])

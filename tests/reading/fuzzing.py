@@ -745,7 +745,7 @@ def trace_lines() -> list[bytes]:
     for array, (name, kind, shape, stride) in TRACE_VALUES.items():
         lines.append(
             {"name": name, "call": 1, "kind": kind, "stage": "network", "shape": shape,
-             "stride": stride, "digest": "00", "norm": 1.0, "spread": None, "array": array}
+             "stride": stride, "digest": "00", "norm": 1.0, "spread": 0.5, "array": array}
         )  # fmt: skip
     return ["".join(json.dumps(line) + "\n" for line in lines).encode()]
 

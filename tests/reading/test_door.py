@@ -72,6 +72,11 @@ EXCEPTIONS = {
     ("pytest_cpas/remote/worker.py", "json.loads"): "a request of the parent over a pipe",
     ("pytest_cpas/timing/contestant.py", "json.loads"): "a request of the parent over a pipe",
     ("pytest_cpas/timing/contestant.py", "numpy.load"): "observations that the parent has written",
+    ("pytest_cpas/traces/proposing.py", "json.loads"): "entries that the same module has made",
+    ("pytest_cpas/traces/revisions.py", "json.loads"): "the answer of a worker over a pipe",
+    ("pytest_cpas/traces/revisions.py", "read_text"): "what a worker of this run has printed",
+    ("pytest_cpas/traces/traced_worker.py", "json.loads"): "a request of the parent over a pipe",
+    ("pytest_cpas/traces/traced_worker.py", "numpy.load"): "what the parent has written for it",
     ("pytest_cpas/timing/workers.py", "json.loads"): "the answer of a worker over a pipe",
     ("pytest_cpas/golden/snapshot.py", "json.loads"): "what serialize() of the same class has made",
     # of the system, and of the user's own repository

@@ -22,14 +22,14 @@ DOORS = {
     "self._reporter.section": {"report/terminal/_table.py"},
     "pytest.TestReport": {"session/suite_session.py"},
     # what they show is escaped by the hooks of suite_session
-    "pytest.fail": {"suite/test_samples.py", "suite/test_metrics.py", "suite/test_speed.py"},
+    "pytest.fail": {f"suite/test_{name}.py" for name in ("samples", "metrics", "speed", "parity")},
     "pytest.skip": set(),
     # where it is not in usage_errors(): nothing in it but names of our options
     "pytest.UsageError": {
         "plugin.py",
         "golden/snapshot.py",
         *(f"session/{name}.py" for name in ("guard", "rootdir", "suite_session")),
-        *(f"session/{name}.py" for name in ("method_session", "speed_session")),
+        *(f"session/{name}.py" for name in ("method_session", "speed_session", "parity_session")),
     },
     "csv.writer": {"report/export.py", "golden/texts.py"},
     "tostring": {"report/_html.py"},

@@ -75,9 +75,9 @@ def test_integers_must_be_equal():
 def test_nothing_is_compared_from_where_right_codes_may_choose_otherwise():
     theirs = Trace(values=[value(X, "a"), value(X, "b", spread=np.inf), value(X, "c")])
     found = compare(trace(a=X, b=X, c=2 * X), theirs)
-    assert (found.parting.name, found.open) == ("c", "")
+    assert (found.parting.name, found.undecided) == ("c", "")
     found = compare(trace(a=X, b=X + 1, c=2 * X), theirs)
-    assert (found.parting, found.open, len(found.differences)) == (None, "b", 1)
+    assert (found.parting, found.undecided, len(found.differences)) == (None, "b", 1)
     verdict = judge_parity([SampleParity.of("s", found)], "r")
     assert verdict.word is ParityWord.EXACT
     assert "nothing is compared from b on: float noise makes another choice" in verdict.details
