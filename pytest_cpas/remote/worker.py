@@ -58,6 +58,13 @@ _MOST_FILES, _WHOLE, _ALL = 20000, 2**23, 2**28
 #: Of a larger one so many pieces, of so many bytes, from end to end.
 _PIECES, _PIECE = 64, 2**16
 
+#: Variables that differ between machines, users and jobs: each has its own, and answers the same.
+_OF_MACHINES = (
+    r"(HOME|PATH|USER|LOGNAME|SHELL|PWD|OLDPWD|TMP|TEMP|TMPDIR|LANG|TERM|DISPLAY|HOSTNAME|CI"
+    r"|PYTHONPATH|VIRTUAL_ENV|RANK|LOCAL_RANK|WORLD_SIZE|CUDA_VISIBLE_DEVICES"
+    r"|(CPAS|PYTEST|SLURM|GITHUB|MASTER|XDG|CONDA)_.*)$"
+)
+
 #: What an answer may hold, and what of it is numbers.
 _PARTS = ("rotation", "translation", "extents", "points", "vertices", "triangles", "score")
 
@@ -696,6 +703,7 @@ class Sources:
             self._modules = set(self._other_modules())
         unknown = "" if path else "no path says in which folders its sources are"
         files: Dict[str, str] = {}
+        named: Set[bytes] = set()
         total = 0
         for folder in self._folders:
             base = os.path.basename(folder) or folder
@@ -708,9 +716,11 @@ class Sources:
                 size, digest = _digest(file, total < _ALL)
                 total += size
                 files[base + "/" + os.path.relpath(file, folder).replace(os.sep, "/")] = digest
+                named |= _words(file)
             if unknown:
                 break
         files.update((file, _digest(file, True)[1]) for file in self._modules)
+        files.update(_variables(named))
         return {"files": files, "distributions": _distributions(), "unknown": unknown}
 
     def _other_modules(self) -> Iterator[str]:
@@ -734,6 +744,26 @@ def _is_standard(place: str) -> bool:
 def _is_below(place: str, folder: Optional[str]) -> bool:
     place, folder = os.path.realpath(place), os.path.realpath(folder or ".")
     return place == folder or place.startswith(folder.rstrip(os.sep) + os.sep)
+
+
+def _words(file: str) -> Set[bytes]:
+    """What the text of a module says that may be the name of a variable."""
+    if not file.endswith(".py"):
+        return set()
+    try:
+        with open(file, "rb") as opened:
+            return set(re.findall(rb"[A-Z][A-Z0-9_]{2,}", opened.read(_WHOLE)))
+    except OSError:
+        return set()
+
+
+def _variables(words: Set[bytes]) -> Iterator[Tuple[str, str]]:
+    """A digest of each variable that a text names, but for those of a machine, a user or a job."""
+    for word in sorted(words):
+        name = word.decode("ascii")
+        if name in os.environ and not re.match(_OF_MACHINES, name):
+            value = os.environ[name].encode("utf-8", "surrogateescape")
+            yield "$" + name, hashlib.sha256(value).hexdigest()[:16]
 
 
 def _below(folder: str, leave_out: Set[str]) -> Iterator[str]:

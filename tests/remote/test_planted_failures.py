@@ -157,6 +157,7 @@ def survived():
     asked = workers.spec("planted_methods:OneAfterTheOther")
     method = remote_method(asked)
     run = MethodRun(method(), many_samples.Many(None))
+    run.limit = Limit(watchdog=Watchdog(), seconds=20.0)
     found = [_judged(run, ref) for ref in run.samples]
     assert method.remote.life == 1
     method.remote.close()
