@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import shlex
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from pytest_cpas.protocols import Protocol
 from pytest_cpas.registry import KINDS, RegistryError, registered, resolve
+from pytest_cpas.remote import Spec
 from pytest_cpas.types import MethodInfo, assets_of, some_of
 
 
-def listing(weights: Path | None, protocols: Iterable[Protocol]) -> Iterator[str]:
+def listing(
+    weights: Path | None, protocols: Iterable[Protocol], elsewhere: Mapping[str, Spec]
+) -> Iterator[str]:
     """The lines. Methods are imported to be asked for their declaration, and their assets looked
     for below ``weights``; data sets and metrics are named alone. ``protocols`` are told with their
-    columns."""
+    columns; ``elsewhere``: the methods in other interpreters that the project names, of which none
+    is started."""
     for kind, name in KINDS.items():
         if kind == "protocol":
             continue
@@ -23,6 +28,9 @@ def listing(weights: Path | None, protocols: Iterable[Protocol]) -> Iterator[str
             yield f"  {entry.name:24} {entry.value}  ({owner})"
             if kind == "method":
                 yield from (f"      {line}" for line in _declared(entry.name, weights))
+        for called, spec in sorted(elsewhere.items()) if kind == "method" else ():
+            yield f"  {called:24} {spec.cls}  (in another interpreter)"
+            yield f"      {shlex.join(spec.command)}; pytest-cpas worker-check {called} tries it"
 
     yield "protocols:"
     for protocol in protocols:

@@ -105,15 +105,18 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
         return None
     from pytest_cpas.listing import listing
     from pytest_cpas.reading.text import say, terminal_lines
+    from pytest_cpas.remote import named_methods, project_folder
     from pytest_cpas.session.protocol_names import known_protocols
     from pytest_cpas.types import ContractError
 
     weights = config.option.cpas_weights
     try:
         protocols = known_protocols(config.rootpath)
+        elsewhere = named_methods(project_folder(config.rootpath, config.invocation_params.dir))
     except ContractError as error:
         raise pytest.UsageError(terminal_lines(str(error))) from error
-    for line in listing(config.invocation_params.dir / weights if weights else None, protocols):
+    folder = config.invocation_params.dir / weights if weights else None
+    for line in listing(folder, protocols, elsewhere):
         say(line)
     return 0
 

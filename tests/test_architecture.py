@@ -104,9 +104,9 @@ ARROWS: Mapping[str, set[str]] = {
         "_open3d",
     },
     "suite": {"session", "timing", "traces", "checks", "evaluation", "types"},
-    "listing": {"protocols", "registry", "types"},
+    "listing": {"protocols", "registry", "remote", "types"},
     "new_adapter": {"registry", "types"},
-    "plugin": {"session", "listing", "golden", "reading", "types"},
+    "plugin": {"session", "listing", "golden", "reading", "remote", "types"},
     "cli": {
         "golden",
         "session",

@@ -114,6 +114,18 @@ def test_limit_ends_the_worker_and_not_the_run(there):
     )
 
 
+def test_the_list_names_it_and_starts_nothing(there, pytester):
+    there("nowhere:Nothing", "--collect-only")  # writes the project's file
+    result = pytester.runpytest_inprocess(*RUN, "--cpas-list")
+    result.stdout.fnmatch_lines(
+        [
+            "  there  *nowhere:Nothing  (in another interpreter)",
+            f"      {sys.executable}; pytest-cpas worker-check there tries it",
+            "data sets:",
+        ]
+    )
+
+
 def test_what_cannot_be_reached_is_a_usage_error(there):
     result = there("tiny:Perfekt")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
