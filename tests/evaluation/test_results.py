@@ -279,7 +279,8 @@ def test_files_are_plain_json_behind_their_checksum(recorded, pytester):
     answers = [answer for row in rows for answer in row["row"]["answers"]]
     assert {answer["failure"] for answer in answers} == {None, "too few points"}
     assert {v["contract"]["check"] for v in found if "contract" in v} == CONTRACT.keys()
-    assert len(found) == len(rows) + len(CONTRACT) == 12 + len(CONTRACT)
+    heard = [value for value in found if "opened" in value]
+    assert len(found) - len(heard) == len(rows) + len(CONTRACT) == 12 + len(CONTRACT)
     assert [run.method for run in merge([path])] == ["perfect"]
 
 
