@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,17 +38,23 @@ def told_of_asset() -> Generator[None]:
         raise AssetError(str(error)) from error
 
 
-def require(module: str, package: str, extra: str) -> None:
-    """Raises ModuleNotFoundError with what to install; the module itself is not imported."""
-    if importlib.util.find_spec(module) is None:
-        raise ModuleNotFoundError(
-            f"this method needs {package}: pip install 'pytest-cpas[{extra}]'"
-        )
+class Needy:
+    """A method that needs more than the plugin; what it declares can be read without that."""
 
+    #: The extra that has all of it; modules that are imported, and the packages that have them.
+    extra: ClassVar[str] = "torch"
+    packages: ClassVar[Sequence[tuple[str, str]]] = (("torch", "torch"),)
 
-def require_torch() -> None:
-    """As :func:`require`."""
-    require("torch", "torch", "torch")
+    def __init__(self) -> None:
+        """Raises ModuleNotFoundError with what to install; nothing is imported."""
+        lacking = [
+            package for module, package in self.packages if importlib.util.find_spec(module) is None
+        ]
+        if lacking:
+            raise ModuleNotFoundError(
+                f"this method needs {' and '.join(lacking)}: pip install"
+                f" 'pytest-cpas[{self.extra}]'"
+            )
 
 
 def load_priors(folder: Path | None) -> NDArray[np.float32]:

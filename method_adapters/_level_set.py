@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import require
 from method_adapters._crop import NoAnswerError
 from pytest_cpas.adapting import Mesh
-
-
-def require_scikit_image() -> None:
-    """As :func:`method_adapters._assets.require`."""
-    require("skimage", "scikit-image", "sdf")
 
 
 def level_set(

@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import require_torch
+from method_adapters._assets import Needy
 from method_adapters._crop import NoAnswerError
 from pytest_cpas.adapting import Hypothesis, MethodInfo, Observation, Prediction, stage, tap
 
 if TYPE_CHECKING:
     from torch import nn
-
-require_torch()
 
 Array = NDArray[np.float64]
 
@@ -26,7 +24,7 @@ Array = NDArray[np.float64]
 InputsT = TypeVar("InputsT", bound=tuple[NDArray[Any], ...])
 
 
-class NetworkMethod(ABC, Generic[InputsT]):
+class NetworkMethod(Needy, ABC, Generic[InputsT]):
     """A :class:`pytest_cpas.types.Method` with one network.
 
     What can be stacked goes through the network together. Every observation has a generator of

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from method_adapters._assets import NOCS_TERMS, require_torch
+from method_adapters._assets import NOCS_TERMS, Needy
 from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
 from method_adapters._declaration import port_info
 from method_adapters._shape_model import COMPONENTS, ShapeModel, read_shape_model
@@ -30,8 +30,6 @@ from pytest_cpas.adapting import (
     stage,
     tap,
 )
-
-require_torch()
 
 Array = NDArray[np.float64]
 
@@ -73,10 +71,12 @@ class Inputs(NamedTuple):
     factor: float
 
 
-class AsmNet:
+class AsmNet(Needy):
     """ASM-Net as a :class:`pytest_cpas.types.Method`; every category has a network and a shape
     model of its own."""
 
+    extra = "open3d,torch"
+    packages = (("torch", "torch"), ("open3d", "Open3D"))
     info = port_info("asmnet", *_ASSETS, needs=frozenset({"depth"}))
 
     def load(self, assets: Path | None, device: str) -> None:

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from method_adapters._assets import NOCS_TERMS, require_torch
+from method_adapters._assets import NOCS_TERMS, Needy
 from method_adapters._crop import NoAnswerError
 from method_adapters._declaration import port_info
-from method_adapters._level_set import level_set, require_scikit_image
+from method_adapters._level_set import level_set
 from method_adapters._particle_filter import Belief, View, first_belief, next_belief
 from pytest_cpas.adapting import (
     CATEGORIES,
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from method_adapters._networks.icaps import Shape
     from method_adapters._networks.icaps_matching import Matcher
     from method_adapters._networks.icaps_refinement import Placed, Refiner
-
-require_torch()
-require_scikit_image()
 
 Array = NDArray[np.float64]
 
@@ -85,9 +82,11 @@ class Track(NamedTuple):
     mesh: Mesh
 
 
-class ICaps:
+class ICaps(Needy):
     """iCaps as a :class:`pytest_cpas.types.Method`; every category has networks of its own."""
 
+    extra = "sdf"
+    packages = (("torch", "torch"), ("skimage", "scikit-image"))
     info = replace(
         port_info(
             "icaps",

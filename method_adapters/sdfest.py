@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from method_adapters._assets import require, require_torch
+from method_adapters._assets import Needy
 from method_adapters._crop import NoAnswerError, require_depth_pixels
 from method_adapters._declaration import port_info
-from method_adapters._level_set import level_set, require_scikit_image
+from method_adapters._level_set import level_set
 from method_adapters._sdfest_configuration import Configuration, read_configuration, released
 from method_adapters._so3_grid import rotation_grid
 from pytest_cpas.adapting import (
@@ -40,10 +40,6 @@ if TYPE_CHECKING:
     from method_adapters._networks.sdfest import InitNet, SdfVae
     from method_adapters._sdf_renderer import Gradient
     from method_adapters._sdfest_estimation import Estimate, View
-
-require_torch()
-require_scikit_image()
-require("yaml", "PyYAML", "sdf")  # older networks have configurations
 
 CATEGORIES = ("bottle", "bowl", "mug")
 #: Depth beyond this is not used, metres.
@@ -79,7 +75,7 @@ class Model:
     axes: Array
 
 
-class Sdfest:
+class Sdfest(Needy):
     """SDFEst as a :class:`pytest_cpas.types.Method`; :meth:`predict_views` takes several views.
 
     ``sdfest/`` below the weights folder holds the files of the release v0.1.0, or an older set
@@ -88,6 +84,9 @@ class Sdfest:
     rounding.
     """
 
+    extra = "sdf"
+    #: Older networks have configurations in YAML.
+    packages = (("torch", "torch"), ("skimage", "scikit-image"), ("yaml", "PyYAML"))
     info = port_info(
         "sdfest",
         *(asset(name) for category in CATEGORIES for name in released(category).weights),

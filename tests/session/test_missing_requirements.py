@@ -6,6 +6,8 @@ import sys
 import pytest
 from harness import RUN
 
+from pytest_cpas import registry
+
 #: What is asked for; DIR is an empty folder, FILE a file that is not there.
 ASKED = {
     # where all is there, what a method answers is tried elsewhere
@@ -71,3 +73,29 @@ def test_what_is_missing_is_told(asked, missing, cpas, pytester, tmp_path, monke
     assert result.ret in {0, 1, 2, 4}, printed
     assert "INTERNALERROR" not in printed
     assert "Traceback" not in printed
+
+
+@pytest.mark.parametrize(
+    ("method", "extra"),
+    [
+        *((name, "torch") for name in ("spd", "crnet", "sgpa", "dpdn", "cass", "rbppose")),
+        ("asmnet", "open3d,torch"),
+        ("icaps", "sdf"),
+        ("sdfest", "sdf"),
+    ],
+)
+def test_what_a_method_needs_is_told_and_what_it_declares_is_listed(
+    method, extra, cpas, pytester, tmp_path, monkeypatch
+):
+    for name in MISSING["all extras"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    listed = pytester.runpytest_inprocess(*RUN, "-p", "no:benchmark", "--cpas-list")
+    declared = [f"{' ' * 6}{word}*" for word in ("licence ", "needs ", "weights: ")]
+    listed.stdout.fnmatch_lines([f"  {method} *", *declared])
+    for asset in registry.resolve("method", method).info.assets:
+        (tmp_path / asset.path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / asset.path).touch()
+    asked = (f"--cpas-method={method}", "--cpas-dataset=tiny:Tiny", f"--cpas-weights={tmp_path}")
+    result = pytester.runpytest_inprocess(*RUN, "-p", "no:benchmark", *asked)
+    assert result.ret == 4
+    result.stderr.fnmatch_lines([f"ERROR: *needs *pip install 'pytest-cpas[[]{extra}]'*"])
