@@ -13,7 +13,13 @@ from pytest_cpas.datasets.perturbed import Perturbed
 from pytest_cpas.evaluation.estimates import encode_shape
 from pytest_cpas.evaluation.meanwhile import Meanwhile, Seen, seen
 from pytest_cpas.evaluation.measuring import measure
-from pytest_cpas.evaluation.other_side import digests_there, heard_there, is_there, with_other_side
+from pytest_cpas.evaluation.other_side import (
+    digests_there,
+    heard_there,
+    is_there,
+    parts_here,
+    with_other_side,
+)
 from pytest_cpas.evaluation.program import look_again, program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
@@ -133,7 +139,7 @@ class MethodRun(Run):
         self.info = method.info
         self._parts: list[Sequence[type | Callable[..., object]]]
         self._parts = [
-            [*dict.fromkeys([type(method), made_by or type(method)])],
+            parts_here(method, made_by or type(method)),
             readers_of(dataset),
         ]
         method_program, data_program = (program_of(*parts) for parts in self._parts)

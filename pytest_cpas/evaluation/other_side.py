@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from pytest_cpas.evaluation.program import UNKNOWN, Program
@@ -11,7 +11,7 @@ from pytest_cpas.evaluation.surroundings import left_out
 from pytest_cpas.remote import OtherSide, RaisedThereError, RemoteMethod, WorkerError
 from pytest_cpas.types import Method
 
-__all__ = ["digests_there", "heard_there", "is_there", "with_other_side"]
+__all__ = ["digests_there", "heard_there", "is_there", "parts_here", "with_other_side"]
 
 #: How the name of a file begins that was read on the other side.
 _THERE = "other side: "
@@ -38,6 +38,17 @@ def with_other_side(program: Program, method: Method) -> Program:
         revision="",  # of this side alone
         files={**program.files, **other.files},
     )
+
+
+def parts_here(
+    method: Method, made_by: Callable[..., object]
+) -> list[type | Callable[..., object]]:
+    """What the program of a method is looked for by: its class, and what was called for it. Of all
+    that have another side, this one is the same."""
+    if isinstance(method, RemoteMethod):
+        return [RemoteMethod]
+    parts: list[type | Callable[..., object]] = [type(method), made_by]
+    return [*dict.fromkeys(parts)]
 
 
 def heard_there(method: Method) -> set[tuple[str, str]]:
