@@ -54,6 +54,9 @@ _NEVER = frozenset({"__pycache__", "site-packages", "dist-packages", "node_modul
 #: Folders that are about a method and no part of it, unless its text names them.
 _ASIDE = frozenset({"tests", "test", "docs", "doc"})
 
+#: Folders of the root that the system makes as it is asked.
+_MADE = (("proc",), ("sys",), ("dev",))
+
 #: What lies together in a folder that this plugin has written, or that is a virtual environment.
 _WRITTEN = (
     frozenset({"report.html", "report.json"}),
@@ -217,7 +220,11 @@ class _Look:
             self.found.setdefault(path.resolve(), text)
         elif path.is_dir() and start != _HOME:  # where folders are everybody's
             path = path.resolve()
-            if self._is_entered(path) and path not in _everybodys():
+            if (
+                self._is_entered(path)
+                and path not in _everybodys()
+                and path.parts[1:2] not in _MADE
+            ):
                 self.into(path, only=CODE)
 
     def at_distribution(self, name: str) -> None:

@@ -341,3 +341,11 @@ class Mine(tiny.Perfect):
         seen.append(a_run(project, text).provenance["code"])
         assert not [name for name in sys.modules if name.startswith("elsewhere_")]
     assert seen[0] != seen[1]
+
+
+@pytest.mark.parametrize("folder", ["/proc", "/proc/self", "/sys", "/dev"])
+def test_what_the_system_makes_is_not_looked_into(tmp_path, folder):
+    found = surroundings.files_around(
+        {tmp_path / "m.py": "m"}, {tmp_path / "m.py": {folder}}, (), tmp_path
+    )
+    assert not [path for path in found if path.is_relative_to(folder)]

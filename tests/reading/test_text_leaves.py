@@ -12,9 +12,12 @@ ROOT = Path(__file__).parents[2] / "pytest_cpas"
 DOORS = {
     "print": {"reading/text.py", "session/guard.py", "session/holding.py"},
     "pytest.exit": {"session/suite_session.py"},
-    "os.write": {"session/holding.py", "evaluation/watching.py", "evaluation/watchdog.py"},
+    "os.write": {
+        *("session/holding.py", "evaluation/watching.py", "evaluation/watchdog.py"),
+        "remote/worker.py",  # to the process that has started it
+    },
     "sys.stdout.write": set(),
-    "sys.stderr.write": set(),
+    "sys.stderr.write": {"remote/process.py"},
     "terminalreporter.write_line": set(),
     "terminalreporter.section": set(),
     "terminalreporter.write": set(),
