@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
-__all__ = ["CODE", "READ", "SETTINGS", "TELLS", "TOOLS"]
+__all__ = ["CODE", "READ", "SETTINGS", "TELLS", "TOOLS", "may_grow"]
 
 #: What is code, whoever runs it, by the end of its name.
 CODE = re.compile(
@@ -39,3 +40,8 @@ TOOLS = re.compile(
     r"|(pytest|tox)\.ini|mkdocs\.yml|(.*\.)?known\.toml"
     r"|(.*[^a-z])?(junit|coverage|tests?|test-?results?)([^a-z].*)?\.(xml|html)"
 )
+
+
+def may_grow(path: Path) -> bool:
+    """Whether a file may be something's output by its name: it is neither code nor settings."""
+    return not READ.fullmatch(path.name)

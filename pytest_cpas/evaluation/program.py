@@ -38,6 +38,7 @@ from pytest_cpas.evaluation.elsewhere import (
     values,
     variables,
 )
+from pytest_cpas.evaluation.kinds_of_files import may_grow
 from pytest_cpas.evaluation.meanwhile import Seen, seen
 from pytest_cpas.evaluation.surroundings import (
     WHOLE,
@@ -45,7 +46,6 @@ from pytest_cpas.evaluation.surroundings import (
     digests_of,
     files_around,
     is_installed,
-    may_grow,
 )
 from pytest_cpas.reading.files import read_bytes, sha256
 

@@ -37,7 +37,6 @@ __all__ = [
     "is_left_out",
     "leave_out",
     "left_out",
-    "may_grow",
     "named",
     "piecewise_digest",
     "united",
@@ -347,11 +346,6 @@ def digest_of_start(path: Path, size: int) -> str:
             return hashlib.sha256(file.read(size)).hexdigest()[:16]
     except (DataError, OSError):
         return "unreadable"
-
-
-def may_grow(path: Path) -> bool:
-    """Whether a file may be something's output by its name: it is neither code nor settings."""
-    return not READ.fullmatch(path.name)
 
 
 def _told_size(size: int) -> str:
