@@ -36,13 +36,16 @@ __all__ = ["ResultsFile"]
 
 @dataclass(frozen=True)
 class SetAside:
-    """Rows that are not reused: how many, and in what the program differs that computed them."""
+    """Rows that are not reused: how many, and in what the program differs that computed them, or
+    why else."""
 
     rows: int
     differences: Sequence[str]
+    why: str = ""
 
     def __str__(self) -> str:
-        return f"not reused {self.rows} of another program ({'; '.join(self.differences)})"
+        of = "" if self.why else " of another program"
+        return f"not reused {self.rows}{of} ({self.why or '; '.join(self.differences)})"
 
 
 class ResultsFile:
@@ -69,6 +72,7 @@ class ResultsFile:
         self.path = folder / f"{shard.stem_of(run)}.jsonl"
         self.header = Header.of(run, shard)
         self._refs = {ref.id: astuple(ref) for ref in run.samples}
+        self._info = run.info
         self._digests = run.digests_of_opened
         self._changed_meanwhile, self._told = run.changed_meanwhile, set[str]()
         self._opened, self._told_opened = opened, set[tuple[str, str]]()
@@ -115,6 +119,12 @@ class ResultsFile:
         ]
         if programs and not reuse_any:
             self.set_aside = SetAside(len(there.rows), programs)
+            return
+        info, done = self._info, len(there.rows) + len(there.errors)
+        if not (reuse_any or info is None or info.deterministic or done < there.header.selected):
+            # nothing is left to be gone on with, and no judging again could tell a change
+            why = "of a finished run, and the method is not deterministic"
+            self.set_aside = SetAside(len(there.rows), [], why)
             return
         self.another_program = bool(programs)
         self.rows, self._contract = there.rows, there.contract

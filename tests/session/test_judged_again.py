@@ -116,17 +116,34 @@ def test_what_a_method_may_differ_by_is_what_it_declares(depends):
     assert depends(method="Rough", aside="0.05")[0].ret == 1
 
 
-@pytest.mark.parametrize(
-    ("method", "args"), [("Jitters", ()), ("Depends", ("--cpas-results-reuse=any",))]
-)
-def test_what_may_differ_is_not_judged_again(depends, pytester, method, args):
-    assert depends(method=method)[0].ret == 0
-    if args:  # of another program, which is known
-        path = pytester.path / "depends.py"
-        path.write_text(path.read_text() + "\n# another\n")
-    result, asked = depends(*args, method=method, aside="0.05")
+def test_rows_of_another_program_are_not_judged_again(depends, pytester):
+    assert depends()[0].ret == 0
+    path = pytester.path / "depends.py"
+    path.write_text(path.read_text() + "\n# another\n")
+    result, asked = depends("--cpas-results-reuse=any", aside="0.05")
     assert result.ret == 0
     assert asked == []
+
+
+def test_a_method_that_is_not_deterministic_is_gone_on_with(depends):
+    """Nothing could be compared with what it answers now."""
+    assert depends("-k", "0003 or 0004", method="Jitters")[0].ret == 0
+    result, asked = depends(method="Jitters", aside="0.05")
+    assert result.ret == 0
+    assert sorted(asked, key=int) == ["0", "1", "2", "5", "6", "7", "8", "9", "10", "11"]
+    result.stdout.fnmatch_lines(["rows: computed 10, reused 2 from *"])
+
+
+def test_a_finished_run_of_such_a_method_is_computed_anew(depends):
+    assert depends(method="Jitters")[0].ret == 0
+    result, asked = depends(method="Jitters", aside="0.05")
+    assert len(asked) == 12
+    result.stdout.fnmatch_lines(
+        ["rows: computed 12, not reused 12 (of a finished run, and the method is not*"]
+    )
+    result, asked = depends("--cpas-results-reuse=any", method="Jitters")
+    assert asked == []
+    result.stdout.fnmatch_lines(["rows: reused 12 from *"])
 
 
 @pytest.fixture
