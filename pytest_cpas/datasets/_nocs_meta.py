@@ -12,7 +12,8 @@ from pytest_cpas.types import DataError
 class Listed(NamedTuple):
     """A line of a frame's meta file, which of the frame's poses is its, and how many there are.
 
-    ``model`` is empty and ``mask_id`` -1 where there is no meta file.
+    ``model`` is empty and ``mask_id`` -1 where there is no meta file. ``doubt``: why it cannot be
+    told which pose is its.
     """
 
     mask_id: int
@@ -20,6 +21,7 @@ class Listed(NamedTuple):
     model: str
     pose_index: int
     poses: int
+    doubt: str = ""
 
 
 def read_meta(frame: str, text: str, columns: str, classes: Sequence[str]) -> list[Listed]:

@@ -15,12 +15,13 @@
 ``gt_RTs`` belong to the objects of whose id the mask has pixels, ascending, distractors left out:
 in seven frames (scene_1/0198 to 0204) the meta file lists one that is hidden, and has no pose. So
 there are 16118 objects, and 16125 lines of meta files. A frame of which it cannot be told whose the
-poses are is refused, and so is an object where the pose of another one is. Object axes, and those
-of the meshes, are NOCS's; both are turned into the ShapeNet frame here. A tree may be
-partial: what is there is listed, what is missing is named once. Of a frame without images only the
-truth is known, by which stored predictions are judged. Where it has no meta file either, its
-ground truth must have ``gt_class_ids`` and ``gt_scales`` (n, 3), relative to the scale; it may have
-``gt_bboxes`` (n, 4), y1, x1, y2, x2 in pixels.
+poses are is refused: they are more or fewer than the objects, have the class or scale of others, or
+are elsewhere than the pixels (docs/datasets.md). Object axes, and those of the meshes, are NOCS's;
+both are turned into the ShapeNet frame here. A tree may be partial: what is there is listed, what
+is missing is named once. Of a frame without images only the truth is known, by which stored
+predictions are judged. Where it has no meta file either, its ground truth must have
+``gt_class_ids`` and ``gt_scales`` (n, 3), relative to the scale; it may have ``gt_bboxes`` (n, 4),
+y1, x1, y2, x2 in pixels.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +40,7 @@ from numpy.typing import NDArray
 from pytest_cpas.datasets._derived import BOX_OF_MESH, BY_CATEGORY, PROJECTED
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._nocs_meta import Listed, read_meta
-from pytest_cpas.datasets._nocs_poses import read_poses, seen_instead
+from pytest_cpas.datasets._nocs_poses import contradiction, read_class_ids, read_poses
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.reading.files import decoded, read_text
 from pytest_cpas.reading.images import read_ids
@@ -107,10 +109,10 @@ class NocsTree(Tree):
     def __init__(self, name: str, root: Path, camera: Camera, frames: str = "") -> None:
         """Index the tree; ``frames``: which of :attr:`layouts` it has, the first by default."""
         # making the index needs them
-        self.camera, self.frames = camera, frames or self.layouts[0]
+        self.camera, self.frames, self.root = camera, frames or self.layouts[0], root
+        self._mesh = functools.cache(self._read_mesh)
         super().__init__(name, root)
         self._poses = functools.lru_cache(maxsize=64)(read_poses)
-        self._mesh = functools.cache(self._read_mesh)
 
     # -- index ------------------------------------------------------------------------------
 
@@ -189,18 +191,13 @@ class NocsTree(Tree):
         """The objects of a frame without a meta file, from its ground truth."""
         path = self.root / _truth_path(frame)
         self._scan_truth(scan, frame)
-        ids = load_numpy_pickle(path).get("gt_class_ids")
-        if (
-            not isinstance(ids, np.ndarray)
-            or ids.ndim != 1
-            or ids.dtype.kind not in "iu"
-            or (ids.size and not (ids.min() >= 1 and ids.max() <= len(self.class_names)))
-        ):
+        ids = read_class_ids(path, len(self.class_names))
+        if ids is None:
             raise DataError(
-                f"{path}: gt_class_ids are not class ids (n,) of 1 to {len(self.class_names)}, and"
-                f" there is no {self.frames}/{frame}_meta.txt that says which objects are there"
+                f"{path}: no gt_class_ids, and there is no {self.frames}/{frame}_meta.txt that says"
+                " which objects are there"
             )
-        categories = [self.class_names[i - 1] for i in ids.tolist()]
+        categories = [self.class_names[i - 1] for i in ids]
         return [Listed(-1, name, "", i, len(ids)) for i, name in enumerate(categories)]
 
     def _scan_truth(self, scan: Scan, frame: str) -> None:
@@ -214,27 +211,55 @@ class NocsTree(Tree):
         """
         path = self.root / _truth_path(frame)
         try:
-            count = len(read_poses(path)[0])
+            poses = read_poses(path)[0]
         except ContractError:
             return listed  # which every sample of the frame will say
         mask = f"{self.frames}/{frame}_mask.png"
+        count = len(poses)
         seen = f"{path}: {count} poses, but the meta file lists {len(listed)} objects"
         if not scan.has(mask):
             if count == len(listed):
-                return listed
+                return self._sound(frame, listed, listed, poses, None)
             raise DataError(f"{seen}, and there is no mask that says which are seen")
         scan.see(mask)
         try:
-            ids = np.unique(read_ids(self.root / mask, self.camera)).tolist()
+            image = read_ids(self.root / mask, self.camera)
         except ContractError:
             return listed  # which every sample of the frame will say
+        ids = np.flatnonzero(np.bincount(image.ravel())).tolist()
         posed = [item for item in listed if item.mask_id in ids]
         if count != len(posed):
             raise DataError(
                 f"{seen}, of which {len(posed)} have pixels in the mask (its ids are"
                 f" {', '.join(map(str, ids))}); which pose is whose cannot be told"
             )
-        return [item._replace(pose_index=n, poses=count) for n, item in enumerate(posed)]
+        posed = [item._replace(pose_index=n, poses=count) for n, item in enumerate(posed)]
+        return self._sound(frame, listed, posed, poses, image)
+
+    def _sound(
+        self,
+        frame: str,
+        listed: list[Listed],
+        posed: list[Listed],
+        poses: Array,
+        ids: NDArray[np.uint8] | None,
+    ) -> list[Listed]:
+        """The objects that have a pose, with a doubt of all if one's cannot be its."""
+        path = self.root / _truth_path(frame)
+        known = read_class_ids(path, len(self.class_names))
+        told = [self.class_names.index(item.category) + 1 for item in posed]
+        if known is not None and known != told:
+            why = (
+                f"gt_class_ids are {known}, but the classes of these objects in"
+                f" {self.frames}/{frame}_meta.txt are {told}"
+            )
+        else:
+            extents = {}
+            for item in listed:
+                with suppress(ContractError):  # which every sample of the model will say
+                    extents[item.model] = self._mesh(item.model)[1]
+            why = contradiction(self.camera, poses, posed, extents, ids)
+        return [item._replace(doubt=why) for item in posed] if why else posed
 
     def _seen(
         self, scan: Scan, listed: list[tuple[str, list[Listed]]]
@@ -274,23 +299,11 @@ class NocsTree(Tree):
         """Read one sample; :class:`DataError` names the file that is damaged."""
         truth, frame = self.truth(ref), self.image_of(ref)
         mask = self._ids(frame) == Listed(*self._details[ref.id]).mask_id
-        self._check_place(ref, truth, mask)
         rgb = self._read_rgb(self.root / f"{self.frames}/{frame}_color.png", self.camera)
         observation = Observation(
             category=ref.category, rgb=rgb, depth=self._depth(frame), mask=mask, camera=self.camera
         )
         return Sample(ref, observation, truth)
-
-    def _check_place(self, ref: SampleRef, truth: GroundTruth, mask: NDArray[np.bool_]) -> None:
-        """Raise :class:`DataError` if the pose of another object is where this one's pixels are."""
-        item, frame = Listed(*self._details[ref.id]), self.image_of(ref)
-        path = self.root / _truth_path(frame)
-        other = seen_instead(self.camera, truth, self._poses(path)[0], item.pose_index, mask)
-        if other is not None:
-            raise DataError(
-                f"{path}: pose {other} is where the pixels of {ref.id} are, and its own,"
-                f" {item.pose_index}, is elsewhere; which pose is whose cannot be told"
-            )
 
     @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
@@ -298,6 +311,11 @@ class NocsTree(Tree):
         item = Listed(*self._details[ref.id])
         frame = ref.id.rsplit("/", 1)[0]
         path = self.root / _truth_path(frame)
+        if item.doubt:
+            raise DataError(
+                f"{path}: {item.doubt}. Which pose is whose cannot be told: no object of"
+                f" {frame} is read"
+            )
         matrices, sizes = self._poses(path)
         if item.poses != len(matrices):
             raise DataError(

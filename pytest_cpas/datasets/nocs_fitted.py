@@ -116,9 +116,6 @@ class FittedTree(NocsTree):
         """All of them: poses are fitted."""
         return listed
 
-    def _check_place(self, ref: SampleRef, truth: GroundTruth, mask: NDArray[np.bool_]) -> None:
-        """They are fitted to the mask."""
-
     def _seen(
         self, scan: Scan, listed: list[tuple[str, list[Listed]]]
     ) -> list[tuple[str, list[Listed]]]:

@@ -1,5 +1,6 @@
 """The truth about all 2754 published frames of REAL275, and seven of them with an object hidden."""
 
+import itertools
 import pickle
 from collections import Counter
 
@@ -14,6 +15,8 @@ from pytest_cpas.types import CATEGORIES
 #: Frames whose meta file lists an object of which the mask has no pixel.
 SEVEN = [f"scene_1_{number:04d}" for number in range(198, 205)]
 HIDDEN = 3
+
+INTRINSICS = np.array([[591.0125, 0, 322.525], [0, 590.16775, 244.11084], [0, 0, 1]])
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +59,10 @@ def _write_frame(root, frame, truth):
     lines = [f"{HIDDEN} 1 hidden"]
     (root / "obj_models/real_test/hidden.txt").write_text("0.1 0.1 0.1")
     for place, (number, class_id) in enumerate(zip(ids, truth["class_ids"], strict=True)):
-        lines.append(f"{number} {class_id} model_{place}")
-        (root / f"obj_models/real_test/model_{place}.txt").write_text("0.1 0.2 0.1")
+        lines.append(f"{number} {class_id} {frame}_{place}")
+        scale = np.cbrt(np.linalg.det(truth["RTs"][place, :3, :3]))
+        sides = " ".join(map(str, scale * truth["scales"][place]))
+        (root / f"obj_models/real_test/{frame}_{place}.txt").write_text(sides)
     (stem.parent / f"{stem.name}_meta.txt").write_text("\n".join(lines))
 
 
@@ -83,7 +88,43 @@ def test_a_hidden_object_takes_nobodys_pose(tree, published):
         ].tolist()
         assert HIDDEN not in [int(ref.id.rpartition("/")[2]) for ref in refs]
         for ref, pose in zip(refs, published["gt_RTs"][rows], strict=True):
-            sample = data.load(ref)  # which refuses a pose that is where another object is
+            sample = data.load(ref)  # which refuses a frame with a pose that cannot be its object's
             assert np.array_equal(sample.truth.pose.translation, pose[:3, 3])
             seen += 1
     assert seen > 20
+
+
+def test_every_published_pose_holds_the_pixels_of_its_object_and_few_others_do(published):
+    """With half the margin all of the 2-D box of the mask, so that no published frame is refused;
+    and nowhere do two objects hold each other's."""
+    rows = slice(None, None, 7)
+    boxes, poses = published["gt_bboxes"], published["gt_RTs"]
+    scales = np.cbrt(np.linalg.det(poses[:, :3, :3]))
+    extents = scales[:, None] * published["gt_scales"]
+    of_frame = np.repeat(np.arange(2754), np.diff(published["gt_offset"]))
+    models = {round(scale, 4) for scale in scales.tolist()}
+    assert len(models) == 18  # each model has one scale, in all frames
+    wrong = 0
+    for index in np.arange(len(poses))[rows]:
+        assert share(poses[index], extents[index], boxes[index], margin=0.1) == 1
+        for other in np.flatnonzero(of_frame == of_frame[index]):
+            there = share(poses[other], extents[index], boxes[index], margin=0.2)
+            back = share(poses[index], extents[other], boxes[other], margin=0.2)
+            wrong += other != index and min(there, back) >= 0.9
+    assert wrong == 0
+
+
+def share(pose, extents, box, margin):
+    """Of the area of a 2-D box the share that is in that of a posed box, by other means."""
+    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    scale = np.cbrt(np.linalg.det(pose[:3, :3]))
+    u, v, depth = INTRINSICS @ (pose[:3, :3] / scale @ (signs * extents).T + pose[:3, 3:])
+    u, v = u / depth, v / depth
+    top, left, bottom, right = box
+    return overlap(u, left, right, margin) * overlap(v, top, bottom, margin)
+
+
+def overlap(places, low, high, margin):
+    more = margin * np.ptp(places)
+    common = min(places.max() + more, high) - max(places.min() - more, low)
+    return max(common, 0) / (high - low)
