@@ -9,6 +9,7 @@
     [[dataset]]                         # a check of the data set NAME
     check = "depth"
     model = "can_arizona_tea_norm"      # optional, as are sample and category: patterns (* and ?)
+    message = "*no closed bottom*"      # optional: a pattern of what the check says
     worst = 0.018                       # optional: what it was seen with, in the check's unit
     run = "without shape"               # optional: how methods are judged on it, or "left out"
     reason = "The depth measured on this can is 14 mm nearer than its mesh."
@@ -21,11 +22,12 @@
     snippet = "subject('box_iou', ...)" # its calls
 
 A known failure is reported and does not fail the run. It must happen: one that a complete run does
-not come across fails it. Tables of other names are for people.
+not come across fails it. Tables of other names are for people, unless they have a ``check``.
 """
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
 import warnings
@@ -59,7 +61,7 @@ Kind = Literal["contract", "dataset", "metric"]
 
 #: What an entry has beside check and reason.
 _PATTERNS = ("sample", "model", "category")
-_OF_DATASETS = (*_PATTERNS, "run")
+_OF_DATASETS = (*_PATTERNS, "message", "run")
 
 #: What becomes in a run of the samples that an entry covers; nothing unless it says so.
 LEFT_OUT, WITHOUT_SHAPE = "left out", "without shape"
@@ -87,15 +89,20 @@ _OLD_FILES: dict[Kind, str] = {
 _OLD_TABLES: dict[Kind, str] = {"dataset": "fault", "metric": "violation"}
 _OLD_KEYS = {"property": "check", "message": "reason"}
 
+_KINDS: tuple[Kind, ...] = ("dataset", "contract", "metric")
+
+#: What an entry has that says what fails.
+_CHECKED = {"check", "property"}
+
 
 @dataclass(frozen=True, kw_only=True)
 class KnownFailure:
     """That ``check`` fails, and why that stays: the ``reason``.
 
-    Of a data set's check: problems that match the patterns ``sample``, ``model``, ``category`` and
-    are no worse than ``worst``, in the unit of :data:`MEASURING`; ``run``: how a run judges such
-    samples. Of a metric's property: with which ``outcome`` for which ``case`` (JSON); ``snippet``
-    shows the calls, ``reason`` is what was seen.
+    Of a data set's check: problems that match the patterns ``sample``, ``model``, ``category``, and
+    ``message`` of what the check says, and are no worse than ``worst``, in the unit of
+    :data:`MEASURING`; ``run``: how a run judges such samples. Of a metric's property: with which
+    ``outcome`` for which ``case`` (JSON); ``snippet`` shows the calls, ``reason`` is what was seen.
     """
 
     check: str
@@ -103,6 +110,7 @@ class KnownFailure:
     sample: str = "*"
     model: str = "*"
     category: str = "*"
+    message: str = "*"
     worst: float | None = None
     run: str = ""
     outcome: Outcome = Outcome.VIOLATED
@@ -110,12 +118,16 @@ class KnownFailure:
     snippet: str = ""
 
     def matches(self, *, sample: str, model: str, category: str) -> bool:
-        """Whether all patterns match."""
+        """Whether the patterns of samples match."""
         there = (sample, model, category)
         return all(
             fnmatchcase(found, getattr(self, key))
             for key, found in zip(_PATTERNS, there, strict=True)
         )
+
+    def says(self, message: str) -> bool:
+        """Whether ``message`` is what the check was seen to say."""
+        return fnmatchcase(message, self.message)
 
     def is_no_worse(self, value: float | None) -> bool:
         """Whether what the check measured is no worse than ``worst``."""
@@ -124,7 +136,8 @@ class KnownFailure:
         return value >= self.worst if self.check in LESS_IS_WORSE else value <= self.worst
 
     def __str__(self) -> str:
-        patterns = [f"{key} {value}" for key in _PATTERNS if (value := getattr(self, key)) != "*"]
+        keys = (*_PATTERNS, "message")
+        patterns = [f"{key} {value}" for key in keys if (value := getattr(self, key)) != "*"]
         limit = [] if self.worst is None else [f"worst {self.worst:g}"]
         return " ".join([self.check, *patterns, *limit])
 
@@ -198,9 +211,29 @@ def _tables(path: Path, content: dict[str, Any], kind: Kind) -> list[Any]:
             FutureWarning,
             stacklevel=4,
         )
+    _check_others(path, content, kind)
     if not all(isinstance(table, list) for table in tables):
         raise DeclarationError(f"{path}: {kind} is no list of tables; write [[{kind}]] above each")
     return [entry for table in tables for entry in table]
+
+
+def _check_others(path: Path, content: dict[str, Any], kind: Kind) -> None:
+    """Raise :class:`DeclarationError` for a table of another name that was meant to be read."""
+    for name, table in content.items():
+        if name in _KINDS or name in _OLD_TABLES.values():
+            continue
+        entries = table if isinstance(table, list) else [table]
+        meant = difflib.get_close_matches(name.lower(), _KINDS, n=1, cutoff=0.8)
+        if name in ("check", "reason"):
+            seen = f"{name} stands above all tables"
+        elif meant or any(isinstance(e, dict) and _CHECKED & e.keys() for e in entries):
+            seen = f"[[{shortened(name, 100)}]] is no table that is read"
+        else:
+            continue
+        others = " or ".join(f"[[{each}]]" for each in _KINDS if each != kind)
+        raise DeclarationError(
+            f"{path}: {seen}; write [[{kind}]] above each entry ({others} for those of other kinds)"
+        )
 
 
 def _parse(entry: Any, kind: Kind, checks: Collection[str]) -> KnownFailure:

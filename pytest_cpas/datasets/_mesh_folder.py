@@ -337,7 +337,7 @@ def _check_said(file: File, faults: Faults) -> None:
         if said["front"] not in across:
             wrong("front", f"an axis across up, one of {', '.join(across)},")
     elif file.category in FRONT_IS and not str(said.get("symmetry", "")).startswith("y"):
-        wrong("front", f'the axis that {FRONT_IS[file.category]}: front = "-y"')
+        wrong("front", f'the axis that {FRONT_IS[file.category]}: front = "{_FRONTS[up[-1]]}"')
     if "symmetry" in said and said["symmetry"] != "found":
         try:
             parse_symmetry(str(said["symmetry"]))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pytest_cpas.datasets._edges import open_edges
+from pytest_cpas.datasets._edges import told_edges, uneven_edges
 from pytest_cpas.datasets._mesh_folder import TABLE, UNITS, Faults, File, MeshFolder
 from pytest_cpas.datasets._rings import finish
 from pytest_cpas.datasets._scenes import Model
@@ -124,11 +124,13 @@ def _check_mesh(file: File, mesh: Mesh, faults: Faults) -> None:
             " it there and export it again"
         )
         faults.add("far", file.path, told)
-    elif not file.said.get("open", False) and (count := open_edges(_rounded(mesh, diagonal))):
+    elif not file.said.get("open", False) and any(edges := uneven_edges(_rounded(mesh, diagonal))):
+        inside = "What is inside would be seen, and shape metrics miss a part; close it"
+        if not edges[0]:
+            inside = "What is inside cannot be told; take out what is there twice"
         told = (
-            f"its surface is not closed: {count} edges are open. What is inside would be seen, and"
-            " shape metrics miss a part; close it, or, if it is to be so, say open = true in"
-            f" {TABLE}"
+            f"its surface is not closed: {told_edges(*edges)}. {inside}, or, if it is to be so,"
+            f" say open = true in {TABLE}"
         )
         faults.add("open", file.path, told)
 

@@ -66,14 +66,15 @@ _LEAST_VISIBLE = 0.1
 _AMODAL = Derived(
     part="mask",
     made_of=frozenset({"mask/", "mesh", "pose", "depth"}),
-    how="there is no mask_visib/: mask/, which shows also what others hide (amodal), less what was"
-    " measured more than 1 cm in front of the mesh",
+    how="mask_visib/ has none of it: mask/, which shows also what others hide (amodal), less what"
+    " was measured more than 1 cm in front of the mesh",
 )
 
 _WHOLE = Derived(
     part="mask",
     made_of=frozenset({"mask/"}),
-    how="there is no mask_visib/, and no mesh: mask/, which shows also what others hide (amodal)",
+    how="mask_visib/ has none of it, and there is no mesh: mask/, which shows also what others hide"
+    " (amodal)",
 )
 
 

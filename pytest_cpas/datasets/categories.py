@@ -26,7 +26,7 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -155,13 +155,18 @@ def _entry(entry: Any, where: str) -> MappedObject:
         raise DataError(f"{where}: {error}") from None
     if not front and (symmetry.axis is None or symmetry.axis[1] == 0):
         raise DataError(
-            f"{where}: no front, which an object needs that is not symmetric about y; write front ="
-            ' "+x" (or another axis of the model: where a mug has its handle, a camera its lens, a'
-            " laptop its open side)"
+            f"{where}: no front, which an object needs that is not symmetric about y; write"
+            f' front = "{_across(up)}" (or another axis of the model: where a mug has its handle, a'
+            " camera its lens, a laptop its open side)"
         )
     # what a sample may be called, and what not
     SampleRef(id=where, category=entry["category"], scene="")
     return MappedObject(**{**entry, "up": up})
+
+
+def _across(up: Sequence[str]) -> str:
+    """An axis that may be the front of what has one of these axes up."""
+    return "+" + next((axis for axis in "xyz" if all(each[1] != axis for each in up)), "x")
 
 
 def _axis(name: str) -> Array:
@@ -276,10 +281,10 @@ def _of(dataset: Dataset, path: Path) -> Mapping[str, MappedObject]:
         if dataset.name == key or re.fullmatch(rf"bop-{re.escape(key)}-[^-]+", dataset.name):
             return objects
     folder = re.sub(r"^bop-(.+)-[^-]+$", r"\1", dataset.name)
+    there = f"it has those of {', '.join(maps)}. Call the data set's folder so, or" if maps else ""
     raise DataError(
-        f"{path}: no map of {dataset.name}; it has those of {', '.join(maps)}. Call the data set's"
-        f" folder so, write [{folder}] with [{folder}.objects.NUMBER], or leave out"
-        " --cpas-categories"
+        f"{path}: no map of {dataset.name}; {there or 'there is no map in it;'}"
+        f" write [{folder}] with [{folder}.objects.NUMBER], or leave out --cpas-categories"
     )
 
 
@@ -289,12 +294,20 @@ def _find_axes(entry: MappedObject, truth: GroundTruth, where: str) -> Array:
     fits = [up for up in entry.up if _stands(entry.category, truth.extents, up)]
     if len(fits) != 1:
         size = " x ".join(f"{1000 * side:.0f}" for side in truth.extents)
-        seen = "both fit" if fits else "it is not what a category's frame would show"
+        seen = f"{' and '.join(fits)} fit" if fits else "it is not what the category would show"
+        others = [
+            f"+{axis}" for axis in "xyz" if _stands(entry.category, truth.extents, f"+{axis}")
+        ]
+        advice = (
+            f"copy the map and write the axis that is up, such as"
+            f' up = "{(fits or others)[0]}", then --cpas-categories FILE'
+            if fits or others
+            else "on none of its axes would this one be: is it of that category?"
+        )
         raise DataError(
             f"{where}: up is {' or '.join(entry.up)}, and its box is {size} mm (x, y, z):"
             f" {seen}. Seen from above, a can or a bowl is as wide as deep, and a bottle is"
-            " tallest along its up axis; copy the map and write the axis that is up:"
-            f' up = "+x", then --cpas-categories FILE'
+            f" tallest along its up axis; {advice}"
         )
     y, front = _axis(fits[0]), entry.front
     if front == _HANDLE:
@@ -319,10 +332,11 @@ def _stands(category: str, extents: Array, up: str) -> bool:
 
 def _handle(truth: GroundTruth, up: Array, where: str) -> Array:
     """The horizontal axis (3,) of a model on which its handle is: away from most of the surface."""
+    beside = "+" + "xyz"[int(np.flatnonzero(up == 0)[0])]
     if not isinstance(truth.surface, Mesh):
         raise DataError(
             f"{where}: its handle is to be found, and there is no mesh of it; fetch the models, or"
-            ' write front = "+x" or another axis'
+            f' write front = "{beside}" or another axis'
         )
     corners = truth.surface.vertices[truth.surface.triangles]
     areas = np.linalg.norm(
@@ -335,6 +349,6 @@ def _handle(truth: GroundTruth, up: Array, where: str) -> Array:
     if abs(off[axis]) < max(_OFF, _CLEARLY * across):
         raise DataError(
             f"{where}: no handle is found: the middle of its surface is {off.round(3).tolist()} of"
-            ' its box from the middle of that; write front = "+x" or another axis'
+            f' its box from the middle of that; write front = "{beside}" or another axis'
         )
     return -_axis(("+" if off[axis] > 0 else "-") + "xyz"[axis])

@@ -128,6 +128,10 @@ def link(folder: Path, name: str, to: Path) -> list[str]:
     for path, place in made.items():
         if os.path.lexists(path) and path.resolve() != place:
             raise DataError(f"{path}: something else is there; name another folder with --to")
+    for path in made:
+        first = next(each for each in path.parents if os.path.lexists(each))
+        if not first.is_dir():
+            raise DataError(f"{first}: it is no folder; name another one with --to")
     for path, place in made.items():
         if not os.path.lexists(path):
             path.parent.mkdir(parents=True, exist_ok=True)

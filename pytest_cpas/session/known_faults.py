@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from pytest_cpas.checks.dataset import CHECKS
 from pytest_cpas.checks.known import LEFT_OUT, KnownFailure, known_failures, read_known
-from pytest_cpas.types import Dataset, GroundTruth, Sample, SampleRef, WrappedDataset
+from pytest_cpas.types import ContractError, Dataset, GroundTruth, Sample, SampleRef, WrappedDataset
 
 __all__ = ["known_faults", "without_faults"]
 
@@ -37,7 +37,27 @@ def without_faults(dataset: Dataset, files: Sequence[Path]) -> Dataset:
     """
     faults = [fault for fault in known_faults(dataset, files) if fault.run]
     found = {ref.id: fault for ref in dataset.samples if (fault := _fault_of(ref, faults))}
+    mended = _mended(dataset, found)
+    found = {sample: fault for sample, fault in found.items() if fault not in mended}
     return _WithoutFaults(dataset, found) if found else dataset
+
+
+def _mended(dataset: Dataset, found: Mapping[str, KnownFailure]) -> set[KnownFailure]:
+    """The faults that say what reading fails with, and of whose first sample it does not."""
+    first: dict[KnownFailure, SampleRef] = {}
+    for ref in dataset.samples:
+        fault = found.get(ref.id)
+        if fault is not None and fault.check == "readable" and fault.message != "*":
+            first.setdefault(fault, ref)
+    mended = set()
+    for fault, ref in first.items():
+        try:
+            dataset.truth(ref)
+        except ContractError as error:
+            if fault.says(str(error)):
+                continue
+        mended.add(fault)
+    return mended
 
 
 def _fault_of(ref: SampleRef, faults: Sequence[KnownFailure]) -> KnownFailure | None:

@@ -178,14 +178,12 @@ class CpasSession(SuiteSession):
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """See for which runs the contract is checked; -k can leave that out."""
-        for item in list(items):
+        super().pytest_collection_modifyitems(items)
+        for item in items:
             callspec: Any = getattr(item, "callspec", None)
             if item.path != self._suite or not callspec or "check" not in callspec.params:
                 continue
-            if self.stages:
-                self._with_contract.add(callspec.params["run"])
-            else:  # what pytest makes of no values for a parameter
-                items.remove(item)
+            self._with_contract.add(callspec.params["run"])
 
     def _exclude_categories(self) -> None:
         """See which categories are left out as a whole, by --cpas-category or by a selection of

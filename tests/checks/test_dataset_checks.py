@@ -154,6 +154,11 @@ def mesh_inside_out(tree):
     return "mesh-closed", "wound inside out"
 
 
+def mesh_with_a_face_twice(tree):
+    edit_mesh(tree, lambda vertices, faces: (vertices, np.vstack([faces, faces[:1]])))
+    return "mesh-closed", "mug_0: 3 edges are of three triangles or more"
+
+
 def mesh_without_faces(tree):
     edit_mesh(tree, lambda vertices, faces: (vertices, faces[:0]))
     return "readable", "mug_0.obj"
@@ -210,6 +215,7 @@ PLANTED = [
     mesh_off_centre,
     mesh_without_bottom,
     mesh_inside_out,
+    mesh_with_a_face_twice,
     depth_that_is_off,
     depth_in_another_unit,
     mask_of_a_part,

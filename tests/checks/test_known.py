@@ -77,7 +77,11 @@ def test_one_file_holds_what_is_known_of_all_that_bears_its_name(tmp_path):
             "check = 'depth'\nreason = 'x'\nrun = 'no'",
             "run is 'no', expected 'left out'",
         ),
-        ("dataset", "check = 'depth'\nreason = 'x'\nrum = 'no'", "model, category, run, worst"),
+        (
+            "dataset",
+            "check = 'depth'\nreason = 'x'\nrum = 'no'",
+            "category, message, run, worst",
+        ),
         ("contract", "check = 'order'\nreason = 'x'\nworst = 3", "expected check, reason as text"),
         ("contract", "check = 'order'\nreason = 3", "expected check, reason as text"),
         ("contract", "check = 'order'\nreason = 'x'\n" * 2, "cannot be read"),
@@ -97,6 +101,36 @@ def test_a_wrong_entry_is_named(tmp_path, kind, text, words):
         read_known(path, kind, KINDS[kind])
     assert words in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "[[datasets]]\ncheck = 'depth'",
+            "[[datasets]] is no table that is read; write [[",
+        ),
+        ("[[real275]]\ncheck = 'depth'", "[[real275]] is no table that is read"),
+        ("[real275]\ncheck = 'depth'", "[[real275]] is no table that is read"),
+        ("[[Dataset]]\nreason = 'x'", "[[Dataset]] is no table"),
+        ("[[mine]]\nproperty = 'box_iou'", "([[contract]] or [[metric]] for those of other kinds)"),
+        ("check = 'depth'\nreason = 'x'", "check stands above all tables; write [[dataset]] above"),
+    ],
+)
+def test_a_table_that_was_meant_to_be_read_is_named(tmp_path, text, words):
+    path = written(tmp_path, f"{text}\n[[quirk]]\nname = 'for people'")
+    with pytest.raises(ContractError) as caught:
+        read_known(path, "dataset", CHECKS)
+    assert words in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_message_tells_kinds_of_a_fault_apart(tmp_path):
+    text = "[[dataset]]\ncheck = 'mesh-closed'\nmessage = '*edges are open*'\nreason = 'x'"
+    (fault,) = read_known(written(tmp_path, text), "dataset", CHECKS)
+    assert str(fault) == "mesh-closed message *edges are open*"
+    assert fault.says("it has no closed bottom; 3 edges are open")
+    assert not fault.says("its triangles are wound inside out (the volume is negative)")
 
 
 def test_a_check_stands_once(tmp_path):

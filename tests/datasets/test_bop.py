@@ -198,6 +198,7 @@ def test_whole_masks_are_taken_less_what_is_in_front(tmp_path: Path) -> None:
     assert derived.part == "mask"
     assert derived.samples == {ref.id}
     assert "amodal" in derived.how
+    assert "mask_visib/ has none of it" in derived.how  # there are those of others
     (tmp_path / "test/000002/mask" / name).unlink()
     assert Bop(tmp_path).digest != digest
 

@@ -148,7 +148,8 @@ def test_a_damaged_model_is_named_and_the_others_are_judged(ours: Path) -> None:
     ("old", "new", "words"),
     [
         ('["+x", "+z"]', '"+x"', r"our|bowl.*up is \+x, and its box is .*not what"),
-        ('["+x", "+z"]', '["+z", "-z"]', "both fit"),
+        ('["+x", "+z"]', '"+x"', r'the axis that is up, such as up = "\+[yz]", then'),
+        ('["+x", "+z"]', '["+z", "-z"]', r"\+z and -z fit"),
         ('front = "+x"\n', "", r"objects.1\]: no front"),
         ('symmetry = "y"', 'symmetry = "x"', r"objects.7\]: no front"),
         ('front = "+x"', 'front = "-z"', "front is -z, and up \\+z"),
@@ -161,6 +162,7 @@ def test_a_damaged_model_is_named_and_the_others_are_judged(ours: Path) -> None:
         ('source = "made by hand"', "", "no source"),
         ("[ours.objects.7]", "[ours.objects.000001]", "an object is there twice"),
         ("[ours", "[others", r"no map of bop-ours-test; it has those of others.*\[ours\]"),
+        (MAP, "", r"no map of bop-ours-test; there is no map in it; write \[ours\] with"),
         ("objects.", "objects.9", "none of its objects, such as obj_000091"),
     ],
 )

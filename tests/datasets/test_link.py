@@ -102,6 +102,16 @@ def test_what_is_there_stays(theirs, tmp_path):
     assert [path.name for path in (tmp_path / "linked").iterdir()] == ["val"]
 
 
+def test_a_file_is_no_folder_for_links(theirs, tmp_path, capsys):
+    moved, _ = theirs
+    (tmp_path / "notes.txt").write_text("mine")
+    for to in (tmp_path / "notes.txt", tmp_path / "notes.txt/camera25"):
+        assert cli.main(["link", str(moved), "--as", "camera25", "--to", str(to)]) == 1
+        told = capsys.readouterr().err
+        assert f"{tmp_path / 'notes.txt'}: it is no folder; name another one with --to" in told
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
 def test_what_can_be_done_without_is_told(theirs, tmp_path):
     moved, _ = theirs
     (moved / "meshes/fixed").rename(moved / "meshes/other")

@@ -398,7 +398,7 @@ FAULTS: dict[str, tuple[Damage, str]] = {
     ),
     "front of a mug": (
         lambda root: (root / "block").rename(root / "mug"),
-        r"mug/a\.obj: no front is said of it; expected the axis that the handle points to",
+        r"mug/a\.obj: no front is said.* the handle points to: front = \"-z\" in meshes",
     ),
     "symmetry": (table(TABLE + 'symmetry = "round"'), r"symmetry is 'round'; expected found, none"),
     "open is no word": (table(TABLE + 'open = "yes"'), r"open is 'yes'; expected true or false"),
@@ -422,6 +422,10 @@ FAULTS: dict[str, tuple[Damage, str]] = {
     "empty mesh": (write("block/b.obj", ""), r"block/b\.obj: .*(no triangles|empty)"),
     "cut off": (write("block/b.stl", b"solid"), r"block/b\.stl: not a readable mesh"),
     "not closed": (mesh(OPEN), r"its surface is not closed: 3 edges are open.*say open = true"),
+    "there twice": (
+        mesh(Mesh(BLOCK.vertices, np.vstack([BLOCK.triangles, BLOCK.triangles[:1]]))),
+        r"closed: 3 edges are of three triangles or more, an odd number \(is a triangle there",
+    ),
     "flat": (mesh(Mesh(BLOCK.vertices * [1, 1, 0], BLOCK.triangles)), r"0 of m, flat; expected"),
     "far away": (
         mesh(Mesh(BLOCK.vertices + 50, BLOCK.triangles)),

@@ -1,9 +1,15 @@
 """Known faults of a data set, in runs: what is left out, what has no shape, and what is said."""
 
+import inspect
+from pathlib import Path
+
 import pytest
 from tiny import Tiny
 
+from pytest_cpas.checks.dataset import CHECKS
+from pytest_cpas.checks.known import known_failures
 from pytest_cpas.session.known_faults import without_faults
+from pytest_cpas.types import DataError, Dataset
 
 FAULTS = """
 [[dataset]]
@@ -61,6 +67,42 @@ def test_it_is_another_data_set_only_if_something_is_another(faults):
         assert without_faults(plain, [faults]) is plain
 
 
+class Torn(Tiny):
+    """Of scene_1 no truth can be read."""
+
+    def truth(self, ref):
+        if ref.scene == "scene_1":
+            raise DataError("torn apart")
+        return super().truth(ref)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "left_out"),
+    [(Torn, "*torn*", True), (Torn, "*lost*", False), (Tiny, "*torn*", False), (Tiny, "*", True)],
+)
+def test_what_is_mended_is_not_left_out_for_what_it_was(faults, kind, message, left_out):
+    entry = f'check = "readable"\nmessage = "{message}"'
+    faults.write_text(FAULTS.replace('check = "readable"', entry))
+    scenes = {ref.scene for ref in without_faults(kind(None), [faults]).samples}
+    assert ("scene_1" not in scenes) == left_out
+
+
+@pytest.mark.parametrize("name", ["camera25", "real_train"])
+def test_of_the_shipped_faults_of_meshes_none_covers_one_that_is_inside_out(name):
+    folder = Path(inspect.getfile(Dataset)).parents[1] / "datasets"
+    known = known_failures(folder, name, "dataset", CHECKS)
+    (fault,) = (fault for fault in known if fault.check == "mesh-closed")
+    assert fault.says(
+        "it has no closed bottom: 28% of what is seen is its inside; 63 edges are open"
+    )
+    assert not fault.says("its triangles are wound inside out (the volume is negative)")
+    for bottle in (fault for fault in known if fault.check == "readable"):
+        assert bottle.says(
+            "model.obj: not a readable mesh: line 1 begins with 'newmtl', which is no"
+        )
+        assert not bottle.says("0000_depth.png: not a readable image")
+
+
 @pytest.mark.parametrize("how", [(), ("-n2",)], ids=" ".join)
 def test_a_run_leaves_out_what_is_known(recorded, faults, how):
     result = recorded("Perfect", f"--cpas-known-faults={faults}", "--cpas-require-golden", *how)
@@ -94,3 +136,21 @@ def test_no_sample_that_can_be_read_is_no_error_of_the_contract(cpas, pytester):
     assert result.ret == 1
     assert "Error:" not in result.stdout.str().replace("ContractError:", "")
     result.stdout.fnmatch_lines(["*sample scene_0/0000 (bowl): the data is bad: torn*"])
+
+
+def test_where_nothing_can_be_listed_there_is_no_item_of_nothing(cpas, pytester):
+    pytester.makepyfile(
+        empty="""
+        import tiny
+        class Empty(tiny.Tiny):
+            name = "empty"
+            def __init__(self, data_dir):
+                super().__init__(data_dir)
+                self.samples, self.damaged = [], ["scene_0: which pose is whose cannot be told"]
+        """
+    )
+    result = cpas("Perfect", "--cpas-dataset=empty:Empty", "-rA")
+    assert result.ret == 1
+    assert "NOTSET" not in result.stdout.str()
+    assert "empty parameter set" not in result.stdout.str()
+    result.stdout.fnmatch_lines(["*scene_0: which pose is whose cannot be told*"])

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.datasets._edges import open_edges
+from pytest_cpas.datasets._edges import uneven_edges
 from pytest_cpas.datasets.rendering import camera_rays, hidden, render
 from pytest_cpas.types import (
     Array,
@@ -110,7 +110,8 @@ class MeshFacts:
     """What was measured of one mesh, in metres.
 
     ``sample``: the first one that has it. ``open_edges``: edges of an odd number of triangles,
-    after vertices in the same place were merged; 0 if the surface has no border. ``inside``: per
+    after vertices in the same place were merged, 0 if the surface has no border; ``crowded_edges``:
+    those of them that are of three or more. ``inside``: per
     side the share of what is seen from there that is the inside of the surface. ``volume``: m^3,
     signed; negative where triangles are wound inwards.
     """
@@ -124,6 +125,7 @@ class MeshFacts:
     volume: float
     centre: tuple[float, float, float]
     extents: tuple[float, float, float]
+    crowded_edges: int = 0
 
     @property
     def name(self) -> str:
@@ -277,12 +279,14 @@ def measure_mesh(mesh: Mesh, ref: SampleRef) -> MeshFacts:
     """Measure one mesh, of which ``ref`` is a sample."""
     low, high = mesh.bounds
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles] - (low + high) / 2, 1, 0)
+    single, crowded = uneven_edges(mesh)
     return MeshFacts(
         key=_mesh_key(mesh),
         sample=ref.id,
         category=ref.category,
         model=ref.model,
-        open_edges=open_edges(mesh),
+        open_edges=single + crowded,
+        crowded_edges=crowded,
         inside={side: _inside_seen(mesh, *direction) for side, direction in _SIDES.items()},
         volume=float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6),
         centre=_triple((low + high) / 2),

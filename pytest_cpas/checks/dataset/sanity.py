@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from pytest_cpas.checks.dataset.facts import ImageFacts, MeshFacts, SampleFacts, Survey
 from pytest_cpas.checks.dataset.orientations import REACH, up_axis_spread
+from pytest_cpas.datasets._edges import told_edges
 from pytest_cpas.golden.published import count_problems, published_sample_counts
 
 __all__ = ["CHECKS", "Check", "Problem"]
@@ -237,7 +238,8 @@ def check_meshes_closed(survey: Survey) -> list[Problem] | None:
             for side, share in sorted(mesh.inside.items(), key=lambda item: -item[1])
             if share >= MIN_HOLE
         ]
-        return "; ".join([*holes, f"{mesh.open_edges} edges are open"])
+        single = mesh.open_edges - mesh.crowded_edges
+        return "; ".join([*holes, told_edges(single, mesh.crowded_edges)])
 
     return _of_meshes(survey, fault, lambda mesh: mesh.open_edges)
 
@@ -288,11 +290,13 @@ def check_depth(survey: Survey) -> list[Problem] | None:
 
 
 def _other_unit(distance: float, offset: float) -> str:
-    """What tells of a depth image whose steps are another unit than the reader takes."""
+    """What tells of a depth image whose steps, or a pose whose translation, are in another unit
+    than the reader takes."""
     times = 1 + offset / distance
     near = [unit for unit in (0.001, 0.01, 0.1, 10, 100, 1000) if 2 / 3 < times / unit < 3 / 2]
     told = "; what was measured is about {:g} times as far as the object: is a step of the depth"
-    return (told + " image of another length?").format(*near) if near else ""
+    told += " image of another length, or the pose's translation in another unit?"
+    return told.format(*near) if near else ""
 
 
 def check_masks(survey: Survey) -> list[Problem] | None:

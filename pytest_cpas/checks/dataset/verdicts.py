@@ -92,7 +92,8 @@ def _not_judged(survey: Survey, check: str) -> str:
 
 def _covers(fault: KnownFailure, problem: Problem) -> bool:
     where = {"sample": problem.sample, "model": problem.model, "category": problem.category}
-    return fault.matches(**where) and fault.is_no_worse(problem.value)
+    alike = fault.matches(**where) and fault.says(problem.message)
+    return alike and fault.is_no_worse(problem.value)
 
 
 if not TYPE_CHECKING:  # a type checker would take every name for one that there is
