@@ -125,11 +125,12 @@ def contradiction(
 
 def _box_of(camera: Camera, pose: Array, extents: Array | None) -> tuple[Array, Array] | None:
     """The enlarged 2-D box of a posed box: low and high corner, pixels; None if it reaches behind
-    the camera. Without extents it is a cube whose diagonal is the scale."""
+    the camera. Its diagonal is the pose's scale; without extents it is a cube."""
     scale = np.cbrt(abs(np.linalg.det(pose[:3, :3])))
     rotation = pose[:3, :3] / max(scale, np.finfo(float).tiny)
-    if extents is None:
-        extents = np.full(3, scale / np.sqrt(3))
+    # the scale is the diagonal; extents in another unit are a matter of the checks
+    sides = np.ones(3) if extents is None else extents
+    extents = sides * scale / np.linalg.norm(sides)
     corners = _CORNERS * (extents @ np.abs(NOCS_FROM_SHAPENET).T) @ rotation.T + pose[:3, 3]
     if corners[:, 2].min() <= 0:
         return None

@@ -48,6 +48,10 @@ class Own(NocsTree):
     def __init__(self, root: Path, camera: Camera = CAMERA, name: str = "own") -> None:
         super().__init__(name, root, camera)
 
+    def _sound(self, frame, listed, posed, poses, ids):
+        """Nothing is refused here that the checks, which are for any reader, are to find."""
+        return posed
+
 
 def test_sane_data_passes(sane):
     measured = survey(Own(sane))
