@@ -15,7 +15,7 @@ from pytest_cpas.types import Array, Camera, DataError
 from pytest_cpas.types._arrays import finite_array
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
-__all__ = ["contradiction", "read_class_ids", "read_poses"]
+__all__ = ["contradiction", "other_classes", "read_class_ids", "read_poses"]
 
 #: Corners of a box in units of its extents.
 _CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(8, 3)
@@ -71,6 +71,15 @@ def read_class_ids(path: Path, classes: int) -> list[int] | None:
         raise DataError(f"{path}: gt_class_ids are not class ids (n,) of 1 to {classes}")
     found: list[int] = ids.tolist()
     return found
+
+
+def other_classes(path: Path, objects: Sequence[Listed], names: Sequence[str], meta: str) -> str:
+    """What ``gt_class_ids`` say against the classes of a meta file; empty where nothing."""
+    known = read_class_ids(path, len(names))
+    told = [names.index(item.category) + 1 for item in objects]
+    if known is None or known == told:
+        return ""
+    return f"gt_class_ids are {known}, but the classes of these objects in {meta} are {told}"
 
 
 def contradiction(

@@ -40,7 +40,12 @@ from numpy.typing import NDArray
 from pytest_cpas.datasets._derived import BOX_OF_MESH, BY_CATEGORY, PROJECTED
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._nocs_meta import Listed, read_meta
-from pytest_cpas.datasets._nocs_poses import contradiction, read_class_ids, read_poses
+from pytest_cpas.datasets._nocs_poses import (
+    contradiction,
+    other_classes,
+    read_class_ids,
+    read_poses,
+)
 from pytest_cpas.datasets._tree import Tree, find_root
 from pytest_cpas.reading.files import decoded, read_text
 from pytest_cpas.reading.images import read_ids
@@ -246,19 +251,13 @@ class NocsTree(Tree):
     ) -> list[Listed]:
         """The objects that have a pose, with a doubt of all if one's cannot be its."""
         path = self.root / _truth_path(frame)
-        known = read_class_ids(path, len(self.class_names))
-        told = [self.class_names.index(item.category) + 1 for item in posed]
-        if known is not None and known != told:
-            why = (
-                f"gt_class_ids are {known}, but the classes of these objects in"
-                f" {self.frames}/{frame}_meta.txt are {told}"
-            )
-        else:
-            extents = {}
-            for item in listed:
-                with suppress(ContractError):  # which every sample of the model will say
-                    extents[item.model] = self._mesh(item.model)[1]
-            why = contradiction(self.camera, poses, posed, extents, ids)
+        extents = {}
+        for item in listed:
+            with suppress(ContractError):  # which every sample of the model will say
+                extents[item.model] = self._mesh(item.model)[1]
+        meta = f"{self.frames}/{frame}_meta.txt"
+        why = other_classes(path, posed, self.class_names, meta)
+        why = why or contradiction(self.camera, poses, posed, extents, ids)
         return [item._replace(doubt=why) for item in posed] if why else posed
 
     def _seen(
