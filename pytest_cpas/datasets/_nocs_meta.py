@@ -50,3 +50,13 @@ def read_meta(frame: str, text: str, columns: str, classes: Sequence[str]) -> li
         raise DataError(f"{frame}_meta.txt: a mask id occurs twice")
     count = len(entries)
     return [Listed(*entry, index, count) for index, entry in enumerate(sorted(entries))]
+
+
+def truth_path(frame: str) -> str:
+    """Where a frame's poses are."""
+    return f"gts/real_test/results_real_test_{frame.replace('/', '_')}.pkl"
+
+
+def extents_path(split: str, model: str) -> str:
+    """Where a model's side lengths are."""
+    return f"obj_models/{split}/{model}.txt"

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from pytest_cpas.datasets._derived import BOX_OF_MESH, BY_CATEGORY, PROJECTED
 from pytest_cpas.datasets._index import Scan
-from pytest_cpas.datasets._nocs_meta import Listed, read_meta
+from pytest_cpas.datasets._nocs_meta import Listed, extents_path, read_meta, truth_path
 from pytest_cpas.datasets._nocs_poses import (
     contradiction,
     other_classes,
@@ -177,7 +177,7 @@ class NocsTree(Tree):
             f"{kind} ({self.frames}/scene_S/NNNN_{kind})": f"{stem}_{kind}"
             for kind in ("color.png", "depth.png", "mask.png", "meta.txt")
         }
-        return {**files, "ground truth (gts/real_test/*.pkl)": _truth_path(frame)}
+        return {**files, "ground truth (gts/real_test/*.pkl)": truth_path(frame)}
 
     def _scan_frame(self, scan: Scan, frame: str) -> list[tuple[str, list[Listed]]]:
         try:
@@ -194,7 +194,7 @@ class NocsTree(Tree):
 
     def _read_classes(self, scan: Scan, frame: str) -> list[Listed]:
         """The objects of a frame without a meta file, from its ground truth."""
-        path = self.root / _truth_path(frame)
+        path = self.root / truth_path(frame)
         self._scan_truth(scan, frame)
         ids = read_class_ids(path, len(self.class_names))
         if ids is None:
@@ -207,14 +207,14 @@ class NocsTree(Tree):
 
     def _scan_truth(self, scan: Scan, frame: str) -> None:
         """Add to the digest what the truth comes from."""
-        scan.read(_truth_path(frame))
+        scan.read(truth_path(frame))
 
     def _posed(self, scan: Scan, frame: str, listed: list[Listed]) -> list[Listed]:
         """Those of the listed objects that have a pose, and which it is.
 
         Raises :class:`DataError` where that cannot be told.
         """
-        path = self.root / _truth_path(frame)
+        path = self.root / truth_path(frame)
         try:
             poses = read_poses(path)[0]
         except ContractError:
@@ -250,7 +250,7 @@ class NocsTree(Tree):
         ids: NDArray[np.uint8] | None,
     ) -> list[Listed]:
         """The objects that have a pose, with a doubt of all if one's cannot be its."""
-        path = self.root / _truth_path(frame)
+        path = self.root / truth_path(frame)
         extents = {}
         for item in listed:
             with suppress(ContractError):  # which every sample of the model will say
@@ -274,8 +274,8 @@ class NocsTree(Tree):
             if found:
                 scan.note(model)
                 scan.hash(found[0])
-            elif self.has_extents and scan.has(_extents_path(self.models, model)):
-                scan.hash(_extents_path(self.models, model))
+            elif self.has_extents and scan.has(extents_path(self.models, model)):
+                scan.hash(extents_path(self.models, model))
                 scan.missing.append(f"mesh {model}.obj: shape metrics of {count} samples are n/a")
             else:
                 lost = self.meshes[-1].format(model=model)
@@ -309,7 +309,7 @@ class NocsTree(Tree):
         """The truth about a sample, without its images."""
         item = Listed(*self._details[ref.id])
         frame = ref.id.rsplit("/", 1)[0]
-        path = self.root / _truth_path(frame)
+        path = self.root / truth_path(frame)
         if item.doubt:
             raise DataError(
                 f"{path}: {item.doubt}. Which pose is whose cannot be told: no object of"
@@ -359,7 +359,7 @@ class NocsTree(Tree):
         if ref.id not in self.absent:
             mask = self._ids(frame) == item.mask_id
             return mask_box(mask) if mask.any() else None
-        path = self.root / _truth_path(frame)
+        path = self.root / truth_path(frame)
         boxes = load_numpy_pickle(path).get("gt_bboxes")
         if boxes is None:
             return None
@@ -377,7 +377,7 @@ class NocsTree(Tree):
                 mesh = read_mesh(path, NOCS_FROM_SHAPENET.T)
                 low, high = mesh.bounds
                 return mesh, high - low
-        path = self.root / _extents_path(self.models, model)
+        path = self.root / extents_path(self.models, model)
         extents = numbers(read_text(path).split(), (3,), f"{path}: extents in metres")
         return None, permute_extents(extents, NOCS_FROM_SHAPENET.T)
 
@@ -399,7 +399,7 @@ class Real275(NocsTree):
 
     def _is_only_truth(self, scan: Scan, frame: str) -> bool:
         """Whose the poses are is said by the meta file or by the ground truth itself."""
-        truth = _truth_path(frame)
+        truth = truth_path(frame)
         stem = f"{self.frames}/{frame}"
         if not scan.has(truth) or any(scan.has(f"{stem}_{kind}.png") for kind in _IMAGES):
             return False
@@ -413,11 +413,3 @@ class Real275(NocsTree):
             return True  # which listing it will tell
         scan.lacks("frames without meta.txt or gt_class_ids, which say what is there", frame)
         return False
-
-
-def _truth_path(frame: str) -> str:
-    return f"gts/real_test/results_real_test_{frame.replace('/', '_')}.pkl"
-
-
-def _extents_path(split: str, model: str) -> str:
-    return f"obj_models/{split}/{model}.txt"
