@@ -144,8 +144,10 @@ CHANGES = {
 
 
 def write_assets(folder: Path) -> None:
-    """All weights, and the priors."""
+    """All weights, and the priors; never into a folder that a link leads to, which is another's."""
     folder.mkdir(parents=True, exist_ok=True)
+    if links := [path.name for path in folder.iterdir() if path.is_symlink()]:
+        sys.exit(f"{folder}: {links} are links, and not written through; name a new folder")
     np.save(folder / MEAN_SHAPES.path, priors())
     for name in CHANGES:
         path = folder / cases.METHODS[name].info.assets[0].path
