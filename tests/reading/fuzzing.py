@@ -13,6 +13,7 @@ import faulthandler
 import hashlib
 import io
 import json
+import os
 import random
 import re
 import resource
@@ -756,7 +757,8 @@ def traced(path: Path) -> None:
     from pytest_cpas.traces.files import read_sample
     from pytest_cpas.traces.recording import Trace
 
-    np.savez(path.with_suffix(".npz"), **trace_arrays())
+    if os.path.lexists(path):
+        np.savez(path.with_suffix(".npz"), **trace_arrays())
     trace = read_sample(path).trace
     other = Trace(values=[value.replaced(digest="other") for value in trace.values])
     for each in (trace, other, Trace(values=[])):
