@@ -130,6 +130,7 @@ def make_method(name: str, weights: Path | None, root: Path) -> Callable[[], Met
         try:
             asset.locate(weights)
         except FileNotFoundError as error:
+            _made(name, factory)  # what else it needs is told first: it is quicker to have
             raise FileNotFoundError(f"{info.name} needs {error}") from None
     make: Callable[[], Method] = factory
     return make
