@@ -4,6 +4,7 @@ import ast
 import functools
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -277,6 +278,12 @@ def test_every_room_can_be_imported_first():
             [sys.executable, "-c", f"import {room}"], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, f"{room}: {done.stderr}"
+
+
+def test_files_of_tests_have_names_of_their_own():
+    """Of two with the same name pytest can import one alone."""
+    names = Counter(path.name for path in (ROOT / "tests").rglob("*.py"))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_tests_mirror_the_package():
