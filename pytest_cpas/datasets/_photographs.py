@@ -14,7 +14,7 @@ from pytest_cpas.datasets._fields import bell
 from pytest_cpas.datasets._materials import Material
 from pytest_cpas.datasets._scenes import Item
 from pytest_cpas.datasets.rasterising import rasterise
-from pytest_cpas.datasets.rendering import Rendering, camera_rays, render
+from pytest_cpas.datasets.rendering import Rendering, camera_rays, dot, render
 from pytest_cpas.types import Array, Camera, Pose
 
 __all__ = ["Lamp", "photograph"]
@@ -58,7 +58,7 @@ class Lamp:
         nearest = render(posed, self._camera, rasterise).depth
         nearest = np.pad(np.where(nearest > 0, nearest, np.inf), 2, constant_values=np.inf)
         local = points - self.place
-        x, y, z = (_dot(local, axis) for axis in r)
+        x, y, z = (dot(local, axis) for axis in r)
         z = np.maximum(z, 1e-3)
         c = self._camera
         column = np.floor(x / z * c.fx + c.cx + 0.5).clip(-1, _MAP).astype(np.int64) + 2
@@ -83,13 +83,13 @@ def photograph(
     points = rays * seen.depth.reshape(-1, 1)
     normal = seen.normal.reshape(-1, 3)
     to_lamp = lamp.place - points
-    squared = _dot(to_lamp, to_lamp)
+    squared = dot(to_lamp, to_lamp)
     to_lamp = to_lamp / np.sqrt(squared)[:, None]
     fading = np.minimum(lamp.reach / squared, 1.6)
-    facing = np.maximum(_dot(normal, to_lamp), 0)
+    facing = np.maximum(dot(normal, to_lamp), 0)
     lit = lamp.shines(items, points) * fading
-    half = to_lamp - rays / np.sqrt(_dot(rays, rays))[:, None]
-    mirrored = np.maximum(_dot(normal, half), 0) ** 2 / np.maximum(_dot(half, half), 1e-9)
+    half = to_lamp - rays / np.sqrt(dot(rays, rays))[:, None]
+    mirrored = np.maximum(dot(normal, half), 0) ** 2 / np.maximum(dot(half, half), 1e-9)
     for _ in range(4):  # to the power of 32, by squaring
         mirrored = mirrored * mirrored
     highlight = made_of.gloss * lit * np.where(facing > 0, mirrored, 0)
@@ -136,9 +136,4 @@ def _turned(rotation: Array, columns: Array) -> Array:
     product: Array = (
         rotation[:, :1] * columns[0] + rotation[:, 1:2] * columns[1] + rotation[:, 2:] * columns[2]
     )
-    return product
-
-
-def _dot(a: Array, b: Array) -> Array:
-    product: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
     return product

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from pytest_cpas.datasets._fields import blobs, smooth_bell
-from pytest_cpas.datasets.rendering import Rendering, camera_rays
+from pytest_cpas.datasets.rendering import Rendering, camera_rays, dot
 from pytest_cpas.types import Array, Camera
 
 __all__ = ["draw_shift", "measure"]
@@ -96,11 +96,11 @@ def measure(
 def _along(z: Array, normal: Array, there: Array, here: Array) -> tuple[Array, Array]:
     """Depth where the rays ``here`` meet the surfaces that rays ``there`` see at depth ``z``, and
     the cosine between these rays and the normals."""
-    facing = -_dot(normal, here)
+    facing = -dot(normal, here)
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = -z * _dot(normal, there) / facing
+        moved = -z * dot(normal, there) / facing
     near = np.abs(moved - z) < EDGE * z  # else the plane is seen from its side
-    return np.where(near, moved, z), facing / np.sqrt(_dot(here, here))
+    return np.where(near, moved, z), facing / np.sqrt(dot(here, here))
 
 
 def _unseen(
@@ -137,8 +137,3 @@ def _most_around(lost: NDArray[np.bool_]) -> NDArray[np.bool_]:
     for axis in (0, 1):
         count = sum((np.roll(count, step, axis) for step in (-1, 1)), count)
     return count >= 5
-
-
-def _dot(a: Array, b: Array) -> Array:
-    product: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-    return product

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.datasets.rendering import cross
 from pytest_cpas.types import Array, Camera
 
 __all__ = ["rasterise"]
@@ -40,7 +41,7 @@ def rasterise(corners: Array, camera: Camera) -> tuple[NDArray[np.int64], NDArra
     x = (np.arange(camera.width, dtype=np.float64) - camera.cx) / camera.fx
     y = (np.arange(camera.height, dtype=np.float64) - camera.cy) / camera.fy
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    edges = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)  # (F, 3 edges, 3)
+    edges = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)  # (F, 3 edges, 3)
     volume = a[:, 0] * edges[:, 0, 0] + a[:, 1] * edges[:, 0, 1] + a[:, 2] * edges[:, 0, 2]
     edges *= np.where(volume < 0, -1.0, 1.0)[:, None, None]
     volume = np.abs(volume)
@@ -116,14 +117,3 @@ def _spans(
     first, last = np.maximum(first, 0), np.minimum(last, len(x) - 1)
     kept = first <= last
     return triangle[kept], row[kept], first[kept], last[kept]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )

@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 from pytest_cpas._open3d import import_open3d
 from pytest_cpas.types import Array, Camera, Mesh, Pose
 
-__all__ = ["Cast", "Rendering", "camera_rays", "cast_rays", "hidden", "render"]
+__all__ = [
+    "Cast",
+    "Rendering",
+    "camera_rays",
+    "cast_rays",
+    "cross",
+    "dot",
+    "hidden",
+    "render",
+]
 
 #: What was measured so much nearer than an object, metres, hides it.
 IN_FRONT = 0.01
@@ -70,13 +79,13 @@ def render(
     hit, triangle = (cast or cast_rays)(corners, camera)
 
     # planes: normal . x = offset
-    normal = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.sqrt(_dot(normal, normal))
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.sqrt(dot(normal, normal))
     normal /= np.where(length > 0, length, 1)[:, None]
-    offset = _dot(normal, corners[:, 0])
+    offset = dot(normal, corners[:, 0])
     low, high = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
     seen = normal[triangle]
-    towards = _dot(seen, camera_rays(camera).reshape(-1, 3)[hit])
+    towards = dot(seen, camera_rays(camera).reshape(-1, 3)[hit])
     with np.errstate(divide="ignore", invalid="ignore"):
         z = offset[triangle] / towards
     # a ray along the plane has no depth there, and rounding can push one off a triangle's edge
@@ -125,12 +134,14 @@ def _float_rays(camera: Camera) -> NDArray[np.float32]:
     return np.concatenate([np.zeros_like(directions), directions], axis=-1).astype(np.float32)
 
 
-def _dot(a: Array, b: Array) -> Array:
+def dot(a: Array, b: Array) -> Array:
+    """Inner products (...) of vectors (..., 3), by one order of additions on every processor."""
     product: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
     return product
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
+    """Cross products (..., 3) of vectors (..., 3), likewise."""
     return np.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],

@@ -59,7 +59,7 @@ from pytest_cpas.datasets import _mug, _patterns, _rings, _scenes, rendering, sh
 from pytest_cpas.datasets._patterns import second_colour
 from pytest_cpas.datasets._scenes import SCENERY, HandheldScene, Item, Shapes, Stock, TabletopScene
 from pytest_cpas.datasets.nocs import REAL_CAMERA, NocsTree
-from pytest_cpas.datasets.rendering import Rendering, camera_rays, render
+from pytest_cpas.datasets.rendering import Rendering, camera_rays, dot, render
 from pytest_cpas.types import Array, Camera, DataError
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
@@ -278,7 +278,7 @@ def measure(seen: Rendering, camera: Camera, rng: np.random.Generator) -> NDArra
     """
     z = seen.depth
     rays = camera_rays(camera)
-    cosine = -_dot(seen.normal, rays) / np.sqrt(_dot(rays, rays))
+    cosine = -dot(seen.normal, rays) / np.sqrt(dot(rays, rays))
     angle = np.arccos(np.clip(cosine, 0, 1))
     with np.errstate(divide="ignore"):
         grazing = 1e-4 / np.sqrt(z) * (angle / (np.pi / 2 - np.minimum(angle, 1.5))) ** 2
@@ -302,11 +302,6 @@ def object_points(
     moved = rays * seen.depth.reshape(-1, 1)[pixels] - item.pose.translation
     r = item.pose.rotation
     return pixels, moved[:, :1] * r[0] + moved[:, 1:2] * r[1] + moved[:, 2:] * r[2]
-
-
-def _dot(a: Array, b: Array) -> Array:
-    product: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-    return product
 
 
 def _nocs_colours(item: Item, points: Array) -> NDArray[np.uint8]:
@@ -344,7 +339,7 @@ def _shade(item: Item, points: Array, normals: Array, light: Array) -> NDArray[n
     """Lambertian shading (N, 3) of a two-coloured surface."""
     low, high = item.mesh.bounds
     albedo = item.colours[second_colour(item.pattern, points, points / (high - low)).astype(int)]
-    lit = 0.4 + 0.6 * np.clip(_dot(normals, light), 0, 1)
+    lit = 0.4 + 0.6 * np.clip(dot(normals, light), 0, 1)
     return _bytes(albedo * lit[:, None])
 
 
