@@ -133,6 +133,7 @@ class MethodRun(Run):
         self.seed, self.seeds, self.shared = seed, seeds, shared
         self.loading: Loading = shared.loading if shared else Loading(method, weights, device)
         self._keeps_shapes = keeps_shapes
+        self._heard_there = 0
         #: How long a prediction may take, set by whoever can tell of one that took longer.
         self.limit: Limit | None = None
         self.under_contract = shared is None
@@ -212,10 +213,12 @@ class MethodRun(Run):
                 self._meanwhile.add(names, told=told)
         return self._meanwhile.changed
 
-    @property
-    def heard_there(self) -> Collection[tuple[str, str]]:
-        """Name and digest of each file that the method has read on its other side."""
-        return heard_there(self._method)
+    def newly_heard_there(self) -> Sequence[tuple[str, str]]:
+        """Name and digest of each file that the method has read on its other side since this was
+        last asked."""
+        news = heard_there(self._method, self._heard_there)
+        self._heard_there += len(news)
+        return news
 
     def digests_of_opened(self, names: Collection[str]) -> Mapping[str, str]:
         """Of those on the other side of the method, as they are there."""

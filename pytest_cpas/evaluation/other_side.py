@@ -51,11 +51,12 @@ def parts_here(
     return [*dict.fromkeys(parts)]
 
 
-def heard_there(method: Method) -> set[tuple[str, str]]:
-    """Name and digest of each file that ``method`` has read on its other side, if it has one."""
+def heard_there(method: Method, since: int) -> list[tuple[str, str]]:
+    """Name and digest of each file that ``method`` has read on its other side, if it has one,
+    behind the first ``since``."""
     if not isinstance(method, RemoteMethod):
-        return set()
-    return {(f"{_THERE}{path}", digest) for path, digest in method.remote.heard}
+        return []
+    return [(f"{_THERE}{path}", digest) for path, digest in method.remote.heard(since)]
 
 
 def is_there(name: str) -> bool:

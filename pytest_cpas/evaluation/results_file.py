@@ -67,7 +67,7 @@ class ResultsFile:
         """Read what is there. Raises :class:`ResultsError` if it is damaged or another run's.
 
         ``reuse_any``: rows of another program serve as well; ``opened``: names and digests of the
-        files that the program has opened up to now.
+        files that the program has opened up to now, new ones behind the others.
         """
         self.path = folder / f"{shard.stem_of(run)}.jsonl"
         self.header = Header.of(run, shard)
@@ -76,6 +76,7 @@ class ResultsFile:
         self._digests = run.digests_of_opened
         self._changed_meanwhile, self._told = run.changed_meanwhile, set[str]()
         self._opened, self._told_opened = opened, set[tuple[str, str]]()
+        self._heard = 0
         self.rows: Mapping[str, Row] = {}
         #: The rows of an older file that are another program's.
         self.set_aside: SetAside | None = None
@@ -217,14 +218,20 @@ class ResultsFile:
         """What no one knows before the file is read, and every process of a run that reads it."""
         return self._read_last
 
-    def _tell_changes(self, *, thoroughly: bool = False) -> None:
-        opened = {*self._opened()} - self._told_opened
+    def _tell_opened(self) -> None:
+        heard = self._opened()
+        opened = {*itertools.islice(heard, self._heard, None)} - self._told_opened
+        self._heard = len(heard)
         # one digest of each in a line: a file that has two was written while the program ran
-        while opened and self._last:
+        while opened:
             line = dict(sorted(opened))
             self._write({"opened": line})
             self._told_opened |= line.items()
             opened -= line.items()
+
+    def _tell_changes(self, *, thoroughly: bool = False) -> None:
+        if self._last:
+            self._tell_opened()
         changed = self._changed_meanwhile(thoroughly=thoroughly).keys() - self._told
         if changed and self._last:
             self._write({"changed": sorted(changed)})

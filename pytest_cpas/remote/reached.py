@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import platform
 from collections.abc import Iterable, Mapping, Sequence
@@ -53,8 +54,8 @@ class Remote:
         self._ended = 0
         self._last = ""
         self.declared: Mapping[str, Any] = {}
-        #: Path and digest of files that were read there, and are not below its folders.
-        self.heard: set[tuple[str, str]] = set()
+        #: Path and digest of files that were read there, and are not below its folders, in order.
+        self._heard: dict[tuple[str, str], None] = {}
         self.hello: Mapping[str, Any] = {}
 
     def started(self) -> WorkerProcess:
@@ -140,8 +141,12 @@ class Remote:
 
     def _hear(self, told: object) -> None:
         for each in told if isinstance(told, list) else ():
-            if isinstance(each, list) and len(each) == 2 and len(self.heard) < _MOST_HEARD:
-                self.heard.add((str(each[0])[:4096], str(each[1])[:100]))
+            if isinstance(each, list) and len(each) == 2 and len(self._heard) < _MOST_HEARD:
+                self._heard[str(each[0])[:4096], str(each[1])[:100]] = None
+
+    def heard(self, since: int) -> list[tuple[str, str]]:
+        """What was heard of, in its order, behind the first ``since``."""
+        return list(itertools.islice(self._heard, since, None))
 
     def digests(self, files: Sequence[str]) -> dict[str, str]:
         """A digest of each of some files there, as they are now."""

@@ -46,6 +46,9 @@ LARGEST_BODY = 2**28
 #: Values that a prediction may name.
 _MOST_TAPS = 8000
 
+#: Files that are told of with one answer; others wait for the next.
+_MOST_NEWS = 1000
+
 #: What precedes a header, behind the token.
 LENGTHS = struct.Struct(">IQ")
 
@@ -678,9 +681,10 @@ class Sources:
         """Path and digest of each file that was read, is none of the others, and was not told."""
         if self._modules is None:
             return []
-        paths, self._read = self._read - self._told - self._written, set()
-        self._told |= paths
-        return [[path, _digest(path, True)[1]] for path in sorted(paths) if self._is_new(path)]
+        paths = sorted(self._read - self._told - self._written)[:_MOST_NEWS]
+        self._told.update(paths)
+        self._read -= self._told
+        return [[path, _digest(path, True)[1]] for path in paths if self._is_new(path)]
 
     def _is_new(self, path: str) -> bool:
         if re.match(r"/(proc|sys|dev)/", path) or _is_standard(path):
@@ -848,7 +852,7 @@ def serve(token: str, requests: int, answers: int) -> None:
             answer, made = served.answer(*received)
         except BaseException as error:  # sys.exit() is no way out either
             answer = _told(error)
-        answer["read"] = _sources.news()[:1000]
+        answer["read"] = _sources.news()
         sys.stdout.flush()
         sys.stderr.flush()
         line.send(answer, made)

@@ -241,7 +241,7 @@ class CpasSession(SuiteSession):
     def _hear(self) -> None:
         """Take in which files methods in other interpreters have read."""
         for run in self.runs:
-            self._opened.take(run.heard_there if isinstance(run, MethodRun) else ())
+            self._opened.take(run.newly_heard_there() if isinstance(run, MethodRun) else ())
 
     def keep(self, run: Run, row: Row) -> None:
         """Keep a row whose item has not ended, and may never end."""

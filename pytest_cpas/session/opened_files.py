@@ -8,6 +8,7 @@ program that answers. What compiled code opens by itself, and other processes, i
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import os
 import stat
 import sys
@@ -62,9 +63,14 @@ class OpenedFiles:
         #: Opened to be written; opened to be read and written, which may leave it as it is.
         self._written: set[str] = set()
         self._both: set[str] = set()
+        #: What is told of; those of it that were opened to be written; and what is no part of the
+        #: program, whenever it is read.
         self._settled: dict[str, _Stamp] = {}
-        self._told: set[tuple[str, str]] = set()
-        self._handed_on: set[tuple[str, str]] = set()
+        self._own: set[str] = set()
+        self._others: set[str] = set()
+        #: In the order in which it was told.
+        self._told: dict[tuple[str, str], None] = {}
+        self._handed_on = 0
         self._temporary = os.path.realpath(tempfile.gettempdir()) + os.sep
         places = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib")}
         package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
@@ -83,13 +89,17 @@ class OpenedFiles:
         path = os.path.abspath(os.fsdecode(name))
         if path.startswith(self._elsewhere):
             return
+        if flags & (os.O_WRONLY | os.O_RDWR) and path in self._settled:
+            self._own.add(path)
         if flags & (os.O_WRONLY | os.O_TRUNC):
             self._written.add(path)
             return
         if flags & os.O_RDWR:
             self._both.add(path)
+        path = _source_of(path)
+        if path in self._others or path in self._written:
+            return
         if _is_asked_by_others(frame):
-            path = _source_of(path)
             found = _stamp(path)
             if found is not None and self._settled.get(path) != found:
                 # what was read first counts, until it is settled
@@ -97,18 +107,18 @@ class OpenedFiles:
 
     def take(self, told: Iterable[tuple[str, str]]) -> None:
         """Take in what was heard in another process of the same run."""
-        self._told |= {*told}
+        self._told |= dict.fromkeys(told)
 
     def news(self) -> list[tuple[str, str]]:
         """What :meth:`told` tells, but for what this has told already."""
-        new = {*self.told()} - self._handed_on
-        self._handed_on |= new
-        return sorted(new)
+        new = [*itertools.islice(self.told(), self._handed_on, None)]
+        self._handed_on += len(new)
+        return new
 
     def told(self) -> Collection[tuple[str, str]]:
         """Names and digests of the files that were read up to now. One that was read twice, and
         written by somebody in between, has two digests; one that this process has written has that
-        for a digest."""
+        for a digest. What is new stands behind what is not."""
         from pytest_cpas.evaluation import (
             OWN,
             digest_of_opened,
@@ -117,26 +127,32 @@ class OpenedFiles:
             opened_name,
         )
 
-        own = self._settled.keys() & (self._written | self._both)
-        changed = [path for path in own if _stamp(path) != self._settled[path]]
-        self._told |= {(opened_name(Path(path)), OWN) for path in changed}
+        for path in self._own:
+            if _stamp(path) != self._settled[path]:
+                self._told[opened_name(Path(path)), OWN] = None
         while self._read:
             path, before = self._read.popitem()
+            if (
+                not _CACHES.isdisjoint(path.split(os.sep))
+                or is_installed(Path(path))
+                or is_left_out(Path(path))
+            ):
+                self._others.add(path)
+                continue
             if (
                 len(self._settled) >= _MOST
                 or path in self._written
                 or (path in self._both and _stamp(path) != before)
-                or not _CACHES.isdisjoint(path.split(os.sep))
-                or is_installed(Path(path))
-                or is_left_out(Path(path))
                 or (before[-1] >= self._began and path.startswith(self._temporary))
             ):
                 continue
             self._settled[path] = before
+            if path in self._both:
+                self._own.add(path)
             name = opened_name(Path(path))
             digest = digest_of_opened(name)
-            self._told.add((name, digest if _stamp(path) == before else f"{digest} at last"))
-        return self._told
+            self._told[name, digest if _stamp(path) == before else f"{digest} at last"] = None
+        return self._told.keys()
 
 
 def _is_asked_by_others(frame: FrameType | None) -> bool:
