@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from pytest_cpas.types import Array, Camera, DataError
 from pytest_cpas.types._arrays import finite_array
 from pytest_cpas.types.frames import NOCS_FROM_SHAPENET
 
-__all__ = ["contradiction", "other_classes", "read_class_ids", "read_poses"]
+__all__ = ["class_ids_in", "contradiction", "other_classes", "poses_in", "read_poses"]
 
 #: Corners of a box in units of its extents.
 _CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(8, 3)
@@ -37,7 +38,11 @@ _BACKGROUND = 255
 
 def read_poses(path: Path) -> tuple[Array, Array | None]:
     """Poses (n, 4, 4), and extents (n, 3) in ShapeNet axes, metres, if they are there."""
-    truth = load_numpy_pickle(path)
+    return poses_in(load_numpy_pickle(path), path)
+
+
+def poses_in(truth: Mapping[str, Any], path: Path) -> tuple[Array, Array | None]:
+    """As :func:`read_poses`, of what the file holds."""
     poses, sizes = truth.get("gt_RTs"), truth.get("gt_scales")
     if (
         not isinstance(poses, np.ndarray)
@@ -57,9 +62,9 @@ def read_poses(path: Path) -> tuple[Array, Array | None]:
     return poses, scales[:, None] * sizes @ np.abs(NOCS_FROM_SHAPENET)
 
 
-def read_class_ids(path: Path, classes: int) -> list[int] | None:
+def class_ids_in(truth: Mapping[str, Any], path: Path, classes: int) -> list[int] | None:
     """``gt_class_ids`` (n,), which count from 1 to ``classes``; None if there are none."""
-    ids = load_numpy_pickle(path).get("gt_class_ids")
+    ids = truth.get("gt_class_ids")
     if ids is None:
         return None
     if (
@@ -73,9 +78,10 @@ def read_class_ids(path: Path, classes: int) -> list[int] | None:
     return found
 
 
-def other_classes(path: Path, objects: Sequence[Listed], names: Sequence[str], meta: str) -> str:
+def other_classes(
+    known: Sequence[int] | None, objects: Sequence[Listed], names: Sequence[str], meta: str
+) -> str:
     """What ``gt_class_ids`` say against the classes of a meta file; empty where nothing."""
-    known = read_class_ids(path, len(names))
     told = [names.index(item.category) + 1 for item in objects]
     if known is None or known == told:
         return ""

@@ -33,6 +33,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +42,10 @@ from pytest_cpas.datasets._derived import BOX_OF_MESH, BY_CATEGORY, PROJECTED
 from pytest_cpas.datasets._index import Scan
 from pytest_cpas.datasets._nocs_meta import Listed, extents_path, read_meta, truth_path
 from pytest_cpas.datasets._nocs_poses import (
+    class_ids_in,
     contradiction,
     other_classes,
-    read_class_ids,
+    poses_in,
     read_poses,
 )
 from pytest_cpas.datasets._tree import Tree, find_root
@@ -196,7 +198,7 @@ class NocsTree(Tree):
         """The objects of a frame without a meta file, from its ground truth."""
         path = self.root / truth_path(frame)
         self._scan_truth(scan, frame)
-        ids = read_class_ids(path, len(self.class_names))
+        ids = class_ids_in(load_numpy_pickle(path), path, len(self.class_names))
         if ids is None:
             raise DataError(
                 f"{path}: no gt_class_ids, and there is no {self.frames}/{frame}_meta.txt that says"
@@ -216,7 +218,8 @@ class NocsTree(Tree):
         """
         path = self.root / truth_path(frame)
         try:
-            poses = read_poses(path)[0]
+            truth = load_numpy_pickle(path)
+            poses = poses_in(truth, path)[0]
         except ContractError:
             return listed  # which every sample of the frame will say
         mask = f"{self.frames}/{frame}_mask.png"
@@ -224,7 +227,7 @@ class NocsTree(Tree):
         seen = f"{path}: {count} poses, but the meta file lists {len(listed)} objects"
         if not scan.has(mask):
             if count == len(listed):
-                return self._sound(frame, listed, listed, poses, None)
+                return self._sound(frame, listed, listed, truth, poses, None)
             raise DataError(f"{seen}, and there is no mask that says which are seen")
         scan.see(mask)
         try:
@@ -239,24 +242,25 @@ class NocsTree(Tree):
                 f" {', '.join(map(str, ids))}); which pose is whose cannot be told"
             )
         posed = [item._replace(pose_index=n, poses=count) for n, item in enumerate(posed)]
-        return self._sound(frame, listed, posed, poses, image)
+        return self._sound(frame, listed, posed, truth, poses, image)
 
     def _sound(
         self,
         frame: str,
         listed: list[Listed],
         posed: list[Listed],
+        truth: Mapping[str, Any],
         poses: Array,
         ids: NDArray[np.uint8] | None,
     ) -> list[Listed]:
         """The objects that have a pose, with a doubt of all if one's cannot be its."""
-        path = self.root / truth_path(frame)
         extents = {}
         for item in listed:
             with suppress(ContractError):  # which every sample of the model will say
                 extents[item.model] = self._mesh(item.model)[1]
         meta = f"{self.frames}/{frame}_meta.txt"
-        why = other_classes(path, posed, self.class_names, meta)
+        known = class_ids_in(truth, self.root / truth_path(frame), len(self.class_names))
+        why = other_classes(known, posed, self.class_names, meta)
         why = why or contradiction(self.camera, poses, posed, extents, ids)
         return [item._replace(doubt=why) for item in posed] if why else posed
 
