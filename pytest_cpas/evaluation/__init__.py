@@ -12,6 +12,7 @@ from pytest_cpas.evaluation.estimates import (
 )
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.merging import MergedRun, merge
+from pytest_cpas.evaluation.method_process import MethodProcess
 from pytest_cpas.evaluation.method_runs import MethodError, MethodRun, check_answers
 from pytest_cpas.evaluation.opened import OWN, digest_of_opened, opened_name
 from pytest_cpas.evaluation.predictions import StoredRun
@@ -24,9 +25,11 @@ from pytest_cpas.evaluation.results import (
     read_results,
 )
 from pytest_cpas.evaluation.results_file import ResultsFile
+from pytest_cpas.evaluation.revisions import Adapter, Revision, RevisionError
 from pytest_cpas.evaluation.rows import Answer, Answered, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection, kernels
 from pytest_cpas.evaluation.saving import SavedAnswers
+from pytest_cpas.evaluation.served_method import write_observations
 from pytest_cpas.evaluation.surroundings import (
     is_installed,
     is_left_out,
@@ -37,6 +40,7 @@ from pytest_cpas.evaluation.watchdog import Limit, Watchdog, can_watch, parse_se
 
 __all__ = [
     "OWN",
+    "Adapter",
     "Answer",
     "Answered",
     "DetectedRun",
@@ -45,10 +49,13 @@ __all__ = [
     "Limit",
     "MergedRun",
     "MethodError",
+    "MethodProcess",
     "MethodRun",
     "Results",
     "ResultsError",
     "ResultsFile",
+    "Revision",
+    "RevisionError",
     "RobustnessPoint",
     "Row",
     "Run",
@@ -78,4 +85,5 @@ __all__ = [
     "parse_seconds",
     "read_results",
     "take_programs",
+    "write_observations",
 ]

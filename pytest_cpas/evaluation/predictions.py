@@ -123,7 +123,7 @@ class StoredRun(Run):
         """A digest of each file of the predictions, which are what answers; :class:`OSError`."""
         found = sorted(self._path.rglob("*")) if self._path.is_dir() else [self._path]
         return {
-            path.relative_to(self._path.parent).as_posix(): sha256(path, 2**50)[:16]
+            path.relative_to(self._path.parent).as_posix(): sha256(path)[:16]
             for path in found
             if path.is_file()
         }

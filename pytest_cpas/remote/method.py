@@ -203,9 +203,11 @@ def _random_state() -> int:
 def _name_values(told: object, first: object, given: Sequence[NDArray[Any]]) -> None:
     """Name here what was named there; :class:`AnswerError` for what is none."""
     places = range(len(given) + 1)
-    if not isinstance(told, list) or type(first) is not int or first not in places:
-        raise AnswerError(f"predict: values are {shown(told)}, expected names of arrays")
-    if first + len(told) not in places:
+    if (
+        not isinstance(told, list)
+        or type(first) is not int
+        or not {first, first + len(told)} <= {*places}
+    ):
         raise AnswerError(f"predict: values are {shown(told)}, expected names of arrays")
     for each, array in zip(told, given[first:], strict=False):
         texts = isinstance(each, list) and all(isinstance(text, str) for text in each)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import sys
 from argparse import Namespace
 from collections.abc import Generator
@@ -14,14 +13,13 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas._files import write_file
-from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.evaluation import MethodRun, Revision, RevisionError
 from pytest_cpas.reading.text import folded, terminal_lines
 from pytest_cpas.report.terminal import Terminal
 from pytest_cpas.session.method_session import CpasSession, cpas_session
 from pytest_cpas.session.options import RunOptions
 from pytest_cpas.session.resolution import make_method
 from pytest_cpas.session.suite_session import SuiteSession, report_outcome, usage_errors
-from pytest_cpas.timing.workers import Revision, TimingError
 from pytest_cpas.traces.files import DEFAULT_MOST, LARGEST_MOST
 from pytest_cpas.traces.maps import NameMap, read_map
 from pytest_cpas.traces.parity import SampleParity, judge_parity
@@ -58,7 +56,9 @@ class ParitySession(SuiteSession):
         super().__init__(config, "test_parity.py", "cpas-parity")
         self.cpas: CpasSession = cpas_session(config)
         options = self.cpas.options
-        with usage_errors(registry.RegistryError, ContractError, TimingError, ValueError, OSError):
+        with usage_errors(
+            registry.RegistryError, ContractError, RevisionError, ValueError, OSError
+        ):
             plan = _plan(config.option, options, config.invocation_params.dir)
             # the parts of a profile are of the same method, and of changed data
             runs = [r for r in self.cpas.runs if isinstance(r, MethodRun) and r.shared is None]
@@ -193,8 +193,8 @@ def _reference(name: str | None, run: MethodRun, options: RunOptions) -> Referen
         return None
     if name.startswith(_REVISION):
         revision = Revision.find(type(run.unloaded), name.removeprefix(_REVISION))
-        return RevisionReference(name, revision.extract, options.weights, options.device)
+        return RevisionReference(name, revision, options.weights, options.device)
     if options.parity is not None:
         return RecordedReference(options.parity, run.method, run.dataset)
     make = make_method(name, options.weights, options.root)
-    return MethodReference(name, functools.partial(make), options.weights, options.device)
+    return MethodReference(name, make, options.weights, options.device)

@@ -11,7 +11,7 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas.documents import ItemOutcome, MeasuredSpeedDocument, SpeedDocument
-from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.evaluation import MethodRun, RevisionError
 from pytest_cpas.remote import RemoteMethod
 from pytest_cpas.session.method_session import CpasSession, cpas_session
 from pytest_cpas.session.options import RunOptions
@@ -19,7 +19,6 @@ from pytest_cpas.session.resolution import make_method
 from pytest_cpas.session.suite_session import SuiteSession, usage_errors
 from pytest_cpas.timing.running import Plan, Rival, SpeedRun
 from pytest_cpas.timing.verdicts import parse_limit
-from pytest_cpas.timing.workers import TimingError
 from pytest_cpas.types import ContractError, Method, Verdict
 
 #: Where an item keeps the document of what it measured.
@@ -48,7 +47,7 @@ class SpeedSession(SuiteSession):
             for run in self.cpas.runs
             if isinstance(run, MethodRun) and run.shared is None
         ]
-        with usage_errors(TimingError):
+        with usage_errors(RevisionError):
             for speed_run in self.speed_runs:
                 if plan.rival:
                     plan.rival.of(type(speed_run.run.unloaded))

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pytest_cpas.evaluation import MethodError
+from pytest_cpas.evaluation import MethodError, RevisionError
 from pytest_cpas.session.speed_session import MEASURED, speed_session
 from pytest_cpas.session.suite_session import skip
 from pytest_cpas.timing.records import RecordError
@@ -40,7 +40,7 @@ def test_speed(speed_run: SpeedRun, benchmark: Any, request: pytest.FixtureReque
     problem = ""
     try:
         verdict, measured = speed_run.measure(benchmark)
-    except (TimingError, MethodError, ContractError, RecordError) as error:
+    except (TimingError, RevisionError, MethodError, ContractError, RecordError) as error:
         problem = str(error)
     if problem:
         pytest.fail(problem, pytrace=False)

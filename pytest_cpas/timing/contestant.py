@@ -6,17 +6,13 @@ this file imports nothing of the package at the top, and what it needs of it has
 
 from __future__ import annotations
 
-import contextlib
 import gc
-import importlib
-import json
-import os
+import importlib.util
 import sys
 import time
-import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
 
 if TYPE_CHECKING:
     from pytest_cpas.documents import Clock, MemoryDocument
@@ -233,86 +229,18 @@ def _peak_of_process() -> int | None:
 # -- as a worker --------------------------------------------------------------------------------
 
 
-def _make(order: dict[str, Any]) -> Contestant:
-    """The contestant of an order: ``path`` (sys.path), ``module``, ``attribute``, ``inside`` (where
-    the module has to lie), ``weights``, ``device``, ``seed``, ``observations`` (a file)."""
-    sys.path[:] = order["path"]
-    module = importlib.import_module(order["module"])
-    inside = order["inside"]
-    origin = Path(module.__file__ or "").resolve()
-    if inside is not None and not origin.is_relative_to(inside):
-        raise ImportError(
-            f"{order['module']} was imported from {origin}, not from the revision in {inside}"
-        )
-    method: Any = module
-    for name in order["attribute"].split("."):
-        method = getattr(method, name)
-    method = method()
-    weights = order["weights"]
-    method.load(None if weights is None else Path(weights), order["device"])
-    observations = _read_observations(Path(order["observations"]))
-    return Contestant(method, observations, order["seed"], order["device"])
-
-
-def write_observations(path: Path, observations: Sequence[Any]) -> None:
-    """Keep observations in a file that any revision can read."""
-    import numpy as np
-
-    arrays: dict[str, Any] = {}
-    for index, seen in enumerate(observations):
-        camera = seen.camera
-        arrays[f"{index}.category"] = np.array(seen.category)
-        size = (camera.width, camera.height)
-        arrays[f"{index}.camera"] = np.array([*size, camera.fx, camera.fy, camera.cx, camera.cy])
-        arrays |= {f"{index}.{part}": getattr(seen, part) for part in ("rgb", "depth", "mask")}
-    np.savez(path, **arrays)
-
-
-def _read_observations(path: Path) -> list[Any]:
-    import numpy as np
-
-    from pytest_cpas.types import Camera, Observation
-
-    observations = []
-    with np.load(path) as arrays:
-        for index in range(len(arrays) // 5):
-            width, height, *intrinsics = arrays[f"{index}.camera"].tolist()
-            observations.append(
-                Observation(
-                    category=str(arrays[f"{index}.category"]),
-                    rgb=arrays[f"{index}.rgb"],
-                    depth=arrays[f"{index}.depth"],
-                    mask=arrays[f"{index}.mask"],
-                    camera=Camera(int(width), int(height), *intrinsics),
-                )
-            )
-    return observations
-
-
-def _serve(requests: IO[str], answers: IO[str]) -> None:
-    """One line of JSON per request: first an order, then names of methods with their arguments."""
-    contestant: Contestant | None = None
-    for line in requests:
-        request = json.loads(line)
-        try:
-            if contestant is None:
-                contestant = _make(request)
-                value: Any = None
-            else:
-                value = getattr(contestant, request["call"])(*request["arguments"])
-            answer = {"answer": value}
-        except Exception as error:
-            answer = {"error": "".join(traceback.format_exception(error))}
-        answers.write(json.dumps(answer) + "\n")
-        answers.flush()
-
-
 def main() -> None:
-    """Serve on the standard streams; what the method prints goes to the error stream."""
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
-        os.dup2(2, 1)
-        with contextlib.suppress(KeyboardInterrupt):  # the parent, too, was interrupted
-            _serve(sys.stdin, answers)
+    """Serve a method; its order says ``seed`` and ``observations`` (a file) as well."""
+    file = Path(__file__).parents[1] / "evaluation" / "served_method.py"
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    served: Any = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+    spec.loader.exec_module(served)  # type: ignore[union-attr]
+
+    def contestant(method: Any, order: dict[str, Any]) -> Contestant:
+        observations = served.read_observations(Path(order["observations"]))
+        return Contestant(method, observations, order["seed"], order["device"])
+
+    served.serve(contestant)
 
 
 if __name__ == "__main__":

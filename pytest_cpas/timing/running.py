@@ -17,12 +17,12 @@ from pytest_cpas.documents import (
     ReferenceDocument,
     StageDocument,
 )
-from pytest_cpas.evaluation import MethodRun
+from pytest_cpas.evaluation import Adapter, MethodRun, Revision, write_observations
 from pytest_cpas.golden.published import PublishedTime, published_time
 from pytest_cpas.remote import RemoteMethod
 from pytest_cpas.timing.calibration import Calibration, kernel_for
 from pytest_cpas.timing.comparison import Comparison, WithRecord, WithRival
-from pytest_cpas.timing.contestant import Contestant, Examined, write_observations
+from pytest_cpas.timing.contestant import Contestant, Examined
 from pytest_cpas.timing.intervals import CONFIDENCE, LOOKS, Interval, median_interval
 from pytest_cpas.timing.machine import machine
 from pytest_cpas.timing.measuring import Rounds, time_rounds, timed_samples
@@ -34,7 +34,7 @@ from pytest_cpas.timing.records import (
     write_record,
 )
 from pytest_cpas.timing.verdicts import SpeedWord
-from pytest_cpas.timing.workers import Adapter, Revision, TimingError, Worker
+from pytest_cpas.timing.workers import TimingError, Worker
 from pytest_cpas.types import MethodInfo, Observation, Verdict
 from pytest_cpas.types.samples import ALL
 
@@ -55,8 +55,8 @@ class Rival:
     revision: str = ""
 
     def of(self, method: type) -> Adapter | Revision:
-        """What competes with ``method``; :class:`pytest_cpas.timing.workers.TimingError` if that
-        has no such revision."""
+        """What competes with ``method``; :class:`pytest_cpas.evaluation.RevisionError` if that has
+        no such revision."""
         return Adapter.of(self.method) if self.method else Revision.find(method, self.revision)
 
     def categories(self, info: MethodInfo) -> list[str]:
@@ -95,7 +95,8 @@ class SpeedRun:
         ``benchmark``: pytest-benchmark's fixture with :meth:`elapsed` for its timer. Raises what
         the method raises; :class:`pytest_cpas.evaluation.MethodError` if it cannot be loaded,
         :class:`pytest_cpas.types.ContractError` if no sample can be read,
-        :class:`pytest_cpas.timing.workers.TimingError` for workers and revisions, and
+        :class:`pytest_cpas.timing.workers.TimingError` for workers,
+        :class:`pytest_cpas.evaluation.RevisionError` for revisions, and
         :class:`pytest_cpas.timing.records.RecordError` for what is recorded.
         """
         plan, info = self.plan, self.run.unloaded.info

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
-import numpy as np
-
+from pytest_cpas.evaluation import MethodProcess, Revision, write_observations
 from pytest_cpas.reading.arrays import read_npz
 from pytest_cpas.traces import traced_worker
 from pytest_cpas.traces.recording import Recorder, Trace, answer_parts, observed
@@ -21,57 +16,25 @@ from pytest_cpas.traces.values import Value
 from pytest_cpas.types import Hypothesis, Mesh, MethodInfo, Observation, Prediction, SampleRef
 from pytest_cpas.types.frames import standard_prediction
 
-__all__ = ["Adapter", "RevisionReference"]
-
-
-class Adapter(Protocol):
-    """A class of a module in the ``tree`` of a revision; ``first``: the folders in it that Python
-    looks into."""
-
-    @property
-    def module(self) -> str:
-        """Its dotted name."""
-
-    @property
-    def attribute(self) -> str:
-        """The class's name in it."""
-
-    @property
-    def tree(self) -> Path | None:
-        """Where the revision lies."""
-
-    @property
-    def first(self) -> tuple[Path, ...]:
-        """What comes first on the path."""
+__all__ = ["RevisionReference"]
 
 
 class RevisionReference(Reference):
     """The adapter as it was; its process starts when it is first asked."""
 
-    def __init__(
-        self, told: str, extract: Callable[[Path], Adapter], weights: Path | None, device: str
-    ) -> None:
-        """``extract``: puts the files of the revision below a folder."""
+    def __init__(self, told: str, revision: Revision, weights: Path | None, device: str) -> None:
         self.told = told
-        self._extract, self._weights, self._device = extract, weights, device
+        self._revision, self._weights, self._device = revision, weights, device
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._process: subprocess.Popen[str] | None = None
+        self._process: MethodProcess | None = None
+        self._problem: NoTraceError | None = None
 
     def trace(self, ref: SampleRef, observation: Observation, seed: int) -> Trace | None:
-        """Made now, there."""
-        if self._folder is None:
-            self._start()
-        folder = Path(cast(Any, self._folder).name)
-        camera = observation.camera
-        size = (camera.width, camera.height)
-        np.savez(
-            folder / "observation.npz",
-            category=np.array(observation.category),
-            camera=np.array([*size, camera.fx, camera.fy, camera.cx, camera.cy]),
-            **{part: getattr(observation, part) for part in ("rgb", "depth", "mask")},
-        )
-        told = self._ask(
-            observation=f"{folder / 'observation.npz'}", seed=seed, target=f"{folder / 'trace.npz'}"
+        """Made now, there; :class:`pytest_cpas.evaluation.RevisionError` as well."""
+        folder, process = self._started()
+        write_observations(folder / "observation.npz", [observation])
+        told = process.ask(
+            "trace", f"{folder / 'observation.npz'}", seed, f"{folder / 'trace.npz'}"
         )
         arrays = read_npz(folder / "trace.npz")
         return _trace(told, list(arrays.values()), observation)
@@ -79,59 +42,33 @@ class RevisionReference(Reference):
     def close(self) -> None:
         """End the process, and remove the files."""
         if self._process is not None:
-            if self._process.poll() is None:
-                self._process.kill()
-            self._process.wait()
-            for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
-                if stream is not None:
-                    stream.close()
+            self._process.close()
             self._process = None
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
 
-    def _start(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="cpas-parity-")
+    def _started(self) -> tuple[Path, MethodProcess]:
+        if self._problem is not None:  # it would be the same again
+            raise self._problem
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="cpas-parity-")
         folder = Path(self._folder.name)
-        adapter = self._extract(folder)
-        with (folder / "complaints").open("w") as complaints:
-            self._process = subprocess.Popen(  # noqa: S603 - this Python, a file of ours
-                [sys.executable, "-P", traced_worker.__file__],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=complaints,
-                encoding="utf-8",
-            )
-        self._ask(
-            path=[*map(str, adapter.first), *sys.path],
-            module=adapter.module,
-            attribute=adapter.attribute,
-            inside=str(adapter.tree),
-            weights=None if self._weights is None else str(self._weights),
-            device=self._device,
-        )
-
-    def _ask(self, **request: Any) -> Any:
-        process = self._process
-        if process is None or process.stdin is None or process.stdout is None:
-            raise NoTraceError(f"{self.told}: its process has ended")
-        try:
-            process.stdin.write(json.dumps(request) + "\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
-        except BrokenPipeError:
-            line = ""
-        if not line:
-            complaints = Path(cast(Any, self._folder).name) / "complaints"
-            said = complaints.read_text(encoding="utf-8", errors="replace").strip()[-2000:]
-            raise NoTraceError(
-                f"{self.told}: its process ended with exit status {process.wait()}:"
-                f" {said or 'it printed nothing'}"
-            )
-        answer = json.loads(line)
-        if "error" in answer:
-            raise NoTraceError(f"{self.told}, in its process:\n{answer['error'].rstrip()}")
-        return answer["answer"]
+        if self._process is None:
+            adapter = self._revision.extract(folder)
+            try:
+                self._process = MethodProcess(
+                    self.told,
+                    traced_worker.__file__,
+                    adapter,
+                    weights=self._weights,
+                    device=self._device,
+                    error=NoTraceError,
+                )
+            except NoTraceError as error:
+                self._problem = error
+                raise
+        return folder, self._process
 
 
 def _trace(told: Any, arrays: list[Any], observation: Observation) -> Trace:

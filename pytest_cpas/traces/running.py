@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pytest_cpas.evaluation import MethodError, MethodRun, SampleError, measure
+from pytest_cpas.evaluation import MethodError, MethodRun, RevisionError, SampleError, measure
 from pytest_cpas.protocols import count_columns, judge_outcomes
 from pytest_cpas.traces.comparing import compare
 from pytest_cpas.traces.files import DEFAULT_MOST, Header, read_header, stem_of, write_sample
@@ -102,7 +102,7 @@ class TracedRun:
         proposal: dict[str, bool] = {}
         try:
             parity = self._compared(ref, sample, trace, proposal)
-        except (NoTraceError, DataError) as error:
+        except (NoTraceError, RevisionError, DataError) as error:
             raise SampleError(f"{where}: {error}") from None
         lacking = self.reference is not None and parity is None
         return Traced(

@@ -8,12 +8,8 @@ without taps has its answers alone.
 from __future__ import annotations
 
 import contextlib
-import importlib
-import json
-import os
-import sys
-import traceback
-from collections.abc import Iterator
+import importlib.util
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -79,94 +75,53 @@ def _copied(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield from _copied(f"{name}.{part_name}", part)
 
 
-def make(order: dict[str, Any]) -> Any:
-    """The method of an order: ``path`` (sys.path), ``module``, ``attribute``, ``inside`` (where the
-    module has to lie), ``weights``, ``device``."""
-    sys.path[:] = order["path"]
-    module = importlib.import_module(order["module"])
-    origin = Path(module.__file__ or "").resolve()
-    if not origin.is_relative_to(order["inside"]):
-        raise ImportError(
-            f"{order['module']} was imported from {origin}, not from the revision in"
-            f" {order['inside']}"
-        )
-    method: Any = module
-    for name in order["attribute"].split("."):
-        method = getattr(method, name)
-    method = method()
-    weights = order["weights"]
-    method.load(None if weights is None else Path(weights), order["device"])
-    return method
+class Tracer:
+    """A loaded method whose predictions are traced; ``read``: reads a file of observations."""
 
+    def __init__(self, method: Any, read: Callable[[Path], list[Any]]) -> None:
+        self._method, self._read = method, read
 
-def trace(method: Any, observation: str, seed: int, target: str) -> dict[str, Any]:
-    """Write the arrays of a prediction for an observation in a file into another; what they are."""
-    import numpy as np
+    def trace(self, observation: str, seed: int, target: str) -> dict[str, Any]:
+        """Write the arrays of a prediction for the observation in a file into another; what they
+        are."""
+        import numpy as np
 
-    seen = _observation(Path(observation))
-    listener = Listener(_copied)
-    with contextlib.ExitStack() as stack:
-        try:
-            stages = importlib.import_module("pytest_cpas.stages")
-            stack.enter_context(stages.hearing(listener))
-            stack.enter_context(stages.listening(listener))
-        except (ImportError, AttributeError):
-            pass  # older than taps
-        [prediction] = method.predict([seen], seed)
-    heard = list(listener.heard)
-    for index, hypothesis in enumerate(prediction.hypotheses):
-        for name in ("rotation", "translation", "extents", "points", "score"):
-            part = getattr(hypothesis, name)
-            if part is not None:
-                heard.append((f"{index}.{name}", "answer", "", np.array(part)))
-        if hypothesis.mesh is not None:
-            for name in ("vertices", "triangles"):
-                part = np.array(getattr(hypothesis.mesh, name))
-                heard.append((f"{index}.{name}", "answer", "", part))
-    np.savez(target, **{f"{index:06d}": part for index, (*_, part) in enumerate(heard)})
-    info = method.info
-    return {
-        "values": [[name, kind, stage] for name, kind, stage, _ in heard],
-        "reason": prediction.reason if not prediction.hypotheses else None,
-        "frames": [info.camera_frame, info.object_frame],
-    }
-
-
-def _observation(path: Path) -> Any:
-    import numpy as np
-
-    from pytest_cpas.types import Camera, Observation
-
-    with np.load(path) as arrays:
-        width, height, *intrinsics = arrays["camera"].tolist()
-        return Observation(
-            category=str(arrays["category"]),
-            rgb=arrays["rgb"],
-            depth=arrays["depth"],
-            mask=arrays["mask"],
-            camera=Camera(int(width), int(height), *intrinsics),
-        )
+        [seen] = self._read(Path(observation))
+        listener = Listener(_copied)
+        with contextlib.ExitStack() as stack:
+            try:
+                stages = importlib.import_module("pytest_cpas.stages")
+                stack.enter_context(stages.hearing(listener))
+                stack.enter_context(stages.listening(listener))
+            except (ImportError, AttributeError):
+                pass  # older than taps
+            [prediction] = self._method.predict([seen], seed)
+        heard = list(listener.heard)
+        for index, hypothesis in enumerate(prediction.hypotheses):
+            for name in ("rotation", "translation", "extents", "points", "score"):
+                part = getattr(hypothesis, name)
+                if part is not None:
+                    heard.append((f"{index}.{name}", "answer", "", np.array(part)))
+            if hypothesis.mesh is not None:
+                for name in ("vertices", "triangles"):
+                    part = np.array(getattr(hypothesis.mesh, name))
+                    heard.append((f"{index}.{name}", "answer", "", part))
+        np.savez(target, **{f"{index:06d}": part for index, (*_, part) in enumerate(heard)})
+        info = self._method.info
+        return {
+            "values": [[name, kind, stage] for name, kind, stage, _ in heard],
+            "reason": prediction.reason if not prediction.hypotheses else None,
+            "frames": [info.camera_frame, info.object_frame],
+        }
 
 
 def main() -> None:
-    """Serve on the standard streams, one line of JSON per request: first an order, then samples.
-    What the method prints goes to the error stream."""
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
-        os.dup2(2, 1)
-        method: Any = None
-        with contextlib.suppress(KeyboardInterrupt):  # the parent, too, was interrupted
-            for line in sys.stdin:
-                request = json.loads(line)
-                try:
-                    if method is None:
-                        method, value = make(request), None
-                    else:
-                        value = trace(method, **request)
-                    answer: dict[str, Any] = {"answer": value}
-                except Exception as error:
-                    answer = {"error": "".join(traceback.format_exception(error))}
-                answers.write(json.dumps(answer) + "\n")
-                answers.flush()
+    """Serve a method's traces."""
+    file = Path(__file__).parents[1] / "evaluation" / "served_method.py"
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    served: Any = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
+    spec.loader.exec_module(served)  # type: ignore[union-attr]
+    served.serve(lambda method, order: Tracer(method, served.read_observations))
 
 
 if __name__ == "__main__":

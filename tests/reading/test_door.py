@@ -70,23 +70,22 @@ EXCEPTIONS = {
     ("pytest_cpas/session/run_record.py", "mmap"): "memory shared with the parent, no file",
     ("pytest_cpas/remote/worker.py", "io.FileIO"): "the pipe to the parent",
     ("pytest_cpas/remote/worker.py", "json.loads"): "a request of the parent over a pipe",
-    ("pytest_cpas/timing/contestant.py", "json.loads"): "a request of the parent over a pipe",
-    ("pytest_cpas/timing/contestant.py", "numpy.load"): "observations that the parent has written",
+    (
+        "pytest_cpas/evaluation/served_method.py",
+        "json.loads",
+    ): "a request of the parent over a pipe",
+    ("pytest_cpas/evaluation/served_method.py", "numpy.load"): "what the parent has written",
     ("pytest_cpas/traces/proposing.py", "json.loads"): "entries that the same module has made",
-    ("pytest_cpas/traces/revisions.py", "json.loads"): "the answer of a worker over a pipe",
-    ("pytest_cpas/traces/revisions.py", "read_text"): "what a worker of this run has printed",
-    ("pytest_cpas/traces/traced_worker.py", "json.loads"): "a request of the parent over a pipe",
-    ("pytest_cpas/traces/traced_worker.py", "numpy.load"): "what the parent has written for it",
-    ("pytest_cpas/timing/workers.py", "json.loads"): "the answer of a worker over a pipe",
+    ("pytest_cpas/evaluation/method_process.py", "json.loads"): "a worker's answer over a pipe",
     ("pytest_cpas/golden/snapshot.py", "json.loads"): "what serialize() of the same class has made",
     # of the system, and of the user's own repository
     ("pytest_cpas/remote/reached.py", "read_text"): "/proc: which machine this is",
     ("pytest_cpas/remote/worker.py", "open"): "/proc, and bytes of sources, for their digest",
     ("pytest_cpas/timing/contestant.py", "read_bytes"): "/proc: how long this thread has waited",
     ("pytest_cpas/timing/contestant.py", "read_text"): "/proc: memory, and the driver's version",
-    ("pytest_cpas/timing/workers.py", "import tarfile"): "what git archive has just packed",
-    ("pytest_cpas/timing/workers.py", "open"): "what git archive has just packed",
-    ("pytest_cpas/timing/workers.py", "extractall"): "what git archive has just packed, filtered",
+    ("pytest_cpas/evaluation/revisions.py", "import tarfile"): "what git archive has just packed",
+    ("pytest_cpas/evaluation/revisions.py", "open"): "what git archive has just packed",
+    ("pytest_cpas/evaluation/revisions.py", "extractall"): "what git archive has packed, filtered",
 }
 
 

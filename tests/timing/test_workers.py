@@ -11,8 +11,8 @@ import pytest
 from harness import RUN
 from report_schema import follow_schema
 
-from pytest_cpas.timing import contestant
-from pytest_cpas.timing.workers import Adapter, TimingError, Worker
+from pytest_cpas.evaluation import Adapter, served_method
+from pytest_cpas.timing.workers import TimingError, Worker
 
 #: A method whose worker has the clock that the method says.
 ADAPTER = """
@@ -119,7 +119,7 @@ def test_what_goes_wrong_in_a_worker_is_told(rivals, method, messages):
 def test_another_revision_must_be_what_is_imported(pytester, tmp_path):
     shutil.copy(Path(__file__).parents[1] / "tiny.py", pytester.path)
     file = tmp_path / "observations.npz"
-    contestant.write_observations(file, [])
+    served_method.write_observations(file, [])
     adapter = Adapter("json", "JSONDecoder", tree=tmp_path, first=(tmp_path,))
     with pytest.raises(TimingError, match=r"json was imported from .*, not from the revision in"):
         Worker("git:HEAD", adapter, file, weights=None, seed=0, device="cpu")
@@ -131,8 +131,10 @@ def test_observations_survive_the_way_to_a_worker(tmp_path, cpas, pytester, monk
 
     dataset = tiny.Tiny(None)
     seen = [dataset.load(ref).observation for ref in dataset.samples[:3]]
-    contestant.write_observations(tmp_path / "o.npz", seen)
-    for before, after in zip(seen, contestant._read_observations(tmp_path / "o.npz"), strict=True):
+    served_method.write_observations(tmp_path / "o.npz", seen)
+    for before, after in zip(
+        seen, served_method.read_observations(tmp_path / "o.npz"), strict=True
+    ):
         assert (before.category, before.camera) == (after.category, after.camera)
         for part in ("rgb", "depth", "mask"):
             assert np.array_equal(getattr(before, part), getattr(after, part))
