@@ -48,7 +48,7 @@ class Own(NocsTree):
     def __init__(self, root: Path, camera: Camera = CAMERA, name: str = "own") -> None:
         super().__init__(name, root, camera)
 
-    def _sound(self, frame, listed, posed, poses, ids):
+    def _sound(self, frame, listed, posed, truth, poses, ids):
         """Nothing is refused here that the checks, which are for any reader, are to find."""
         return posed
 
