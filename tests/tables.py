@@ -6,6 +6,9 @@ from pytest_cpas.evaluation import Answer, Row, Run
 from pytest_cpas.facts import fact
 from pytest_cpas.golden import RunTable
 from pytest_cpas.protocols import shipped_protocol
+from pytest_cpas.traces.comparing import Difference
+from pytest_cpas.traces.parity import SampleParity, judge_parity
+from pytest_cpas.traces.told import parity_document
 from pytest_cpas.types import SampleRef
 
 
@@ -95,6 +98,27 @@ def a_speed(seconds: float) -> dict:
         "verdict": {"word": "SLOWER", "details": "by 30 %", "outcome": "failed", "limit": 1.2},
         "published": {"dataset": "redwood75", "mean_seconds": 0.227, "machine": "Old, Older"},
     }
+
+
+def a_parity() -> dict:
+    """What --cpas-parity leaves there, of a method that parts."""
+    own = Difference(
+        name="net, call 2", word="PARTS", kind="tap", stage="in", relative=0.5, largest=1.0, at=(3,)
+    )
+    same = Difference(name="input", word="EXACT", kind="tap", stage="")
+    found = SampleParity(
+        sample="s/01",
+        count=2,
+        exact=1,
+        place=1,
+        parting=own,
+        around=[same, own],
+        fits=["scaled by 2"],
+        degrees=1.0,
+        millimetres=2.0,
+        flips=["5 deg, 1 cm"],
+    )
+    return parity_document(judge_parity([found], "the original"), [found], "the original")
 
 
 GOLDEN = table()

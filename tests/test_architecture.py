@@ -44,7 +44,7 @@ ARROWS: Mapping[str, set[str]] = {
         "types",
         "_files",
     },
-    "traces": {"protocols", "evaluation", "reading", "stages", "types", "_files"},
+    "traces": {"documents", "protocols", "evaluation", "reading", "stages", "types", "_files"},
     "golden": {"protocols", "facts", "evaluation", "metrics", "reading", "types", "_files"},
     "diagnosis": {"_deprecation", "facts", "golden", "evaluation", "metrics", "types"},
     "checks": {

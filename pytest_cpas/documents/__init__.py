@@ -25,6 +25,11 @@ from pytest_cpas.documents.counts import (
     PublishedTimeDocument,
     ScoreDocument,
 )
+from pytest_cpas.documents.parity import (
+    DifferenceDocument,
+    ParityDocument,
+    PartingDocument,
+)
 from pytest_cpas.documents.runs import (
     CategoryDocument,
     ContractDocument,
@@ -63,6 +68,7 @@ __all__ = [
     "CountDocument",
     "CurveName",
     "CurvesDocument",
+    "DifferenceDocument",
     "DirectionsDocument",
     "Document",
     "FindingDocument",
@@ -75,6 +81,8 @@ __all__ = [
     "MeasuredSpeedDocument",
     "MemoryDocument",
     "PairDocument",
+    "ParityDocument",
+    "PartingDocument",
     "PointDocument",
     "PrecisionDocument",
     "PublishedCountDocument",

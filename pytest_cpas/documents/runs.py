@@ -4,6 +4,7 @@ from typing import Annotated, Literal, NotRequired, TypedDict
 
 from pytest_cpas.documents._allowed import Allowed, Natural, NotNegative, Positive, Share
 from pytest_cpas.documents.counts import CurvesDocument, PrecisionDocument, ScoreDocument
+from pytest_cpas.documents.parity import ParityDocument
 from pytest_cpas.documents.speed import SpeedDocument
 from pytest_cpas.types import ItemOutcome
 
@@ -194,6 +195,9 @@ class RunDocument(TypedDict):
         SpeedDocument | None,
         "What --cpas-benchmark measured; null if it was not asked for. Only here does a report hold"
         " times: two runs give the same report but for them.",
+    ]
+    parity: Annotated[
+        NotRequired[ParityDocument], "Where it parts from a reference; only with --cpas-parity."
     ]
     identity: Annotated[dict[str, str], "What must agree for two runs to be comparable."]
     definitions: Annotated[

@@ -9,6 +9,7 @@ from typing import Literal
 from pytest_cpas.documents import (
     CountDocument,
     Document,
+    ParityDocument,
     PrecisionDocument,
     RunDocument,
     SampleDocument,
@@ -104,15 +105,27 @@ def _problems(run: RunDocument, columns: list[str], thresholds: int) -> Iterator
     for flip in run["flips"]:
         if unknown := {*flip["lost"], *flip["gained"], *flip["changed"]} - set(columns):
             yield f"flips: {shown(sorted(unknown))}: no columns of this report"
+    if "parity" in run:
+        yield from _parity(run["parity"])
     errors = [sample for sample in run["samples"] if sample["error"] is not None]
     if run["samples"]:
         yield from _samples(run, columns, thresholds)
     if run["samples"] or not run["judged"]:
-        outcome = run_outcome(
-            run["problems"] or errors, run["contract"], run["speed"], run["verdicts"]
-        )
+        broken, parity = run["problems"] or errors, run.get("parity")
+        outcome = run_outcome(broken, run["contract"], run["speed"], run["verdicts"], parity)
         if run["outcome"] != outcome:
             yield f"outcome is {run['outcome']}, and what it found makes it {outcome}"
+
+
+def _parity(told: ParityDocument) -> Iterator[str]:
+    parting = told["parting"]
+    outcome = "passed" if told["word"] in ("EXACT", "FLOAT NOISE") else "failed"
+    if told["outcome"] != outcome:
+        yield f"parity: {told['outcome']}, and {told['word']} is {outcome}"
+    if (parting is None) is (told["word"] == "PARTS AT"):
+        yield f"parity: {told['word']}, and {'no' if parting is None else 'a'} value that parts"
+    if parting and parting["samples"] > told["compared"]:
+        yield f"parity: {parting['samples']} of {told['compared']} samples part"
 
 
 def _grid(part: str, cells: list[tuple[str, str]], labels: list[str]) -> Iterator[str]:

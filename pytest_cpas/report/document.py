@@ -27,6 +27,7 @@ from pytest_cpas.documents import (
     Document,
     FlipDocument,
     ItemOutcome,
+    ParityDocument,
     PointDocument,
     PrecisionDocument,
     RunDocument,
@@ -115,13 +116,15 @@ def run_document(
     findings: Sequence[Explanation] = (),
     golden: RunTable | None = None,
     speed: SpeedDocument | None = None,
+    parity: ParityDocument | None = None,
     samples: bool = True,
 ) -> RunDocument:
     """The document of one run.
 
     ``new``: its table; ``errors``: why samples have no row; ``golden``: the recorded table, shown
     beside it if it was made under the same conditions; ``speed``: what :mod:`pytest_cpas.timing`
-    measured; ``samples``: whether they are listed.
+    measured; ``parity``: what :mod:`pytest_cpas.traces` found; ``samples``: whether they are
+    listed.
     """
     if golden is not None and differences(golden.identity, new.identity):
         golden = None
@@ -146,7 +149,7 @@ def run_document(
         "method": run.method,
         "dataset": run.dataset,
         "published_as": published,
-        "outcome": run_outcome(problems or errors, checks, speed, verdict_documents),
+        "outcome": run_outcome(problems or errors, checks, speed, verdict_documents, parity),
         "judged": len(new.samples),
         "listed": sum(run.listed.values()),
         "unanswered": sum(bool(sample.failure) for sample in new.samples.values()),
@@ -174,6 +177,8 @@ def run_document(
         "definitions": dict(run.definitions),
         "provenance": dict(run.provenance),
     }
+    if parity is not None:
+        content["parity"] = parity
     if failures := Counter(s.failure for s in new.samples.values() if s.failure):
         content["failures"] = dict(failures.most_common(_MOST_FAILURES))
     notes = [*filter(None, [run.derived]), *run.notes]
@@ -191,11 +196,13 @@ def run_outcome(
     contract: Iterable[ContractDocument],
     speed: SpeedDocument | None,
     verdicts: Iterable[VerdictDocument],
+    parity: ParityDocument | None = None,
 ) -> ItemOutcome:
     """The outcome of a run; ``broken``: what is wrong with its data and its samples."""
     violated = any(check["status"] in ("violated", "gone") for check in contract)
     slower = speed is not None and speed["verdict"]["outcome"] == "failed"
-    if broken or violated or slower:
+    parts = parity is not None and parity["outcome"] == "failed"
+    if broken or violated or slower or parts:
         return "failed"
     return worst(verdict["outcome"] for verdict in verdicts)
 

@@ -26,6 +26,7 @@ from pytest_cpas.report.messages import (
     outcome_message,
     pair_lines,
     pair_title,
+    parity_lines,
     run_title,
     speed_lines,
     troubles,
@@ -78,6 +79,8 @@ def _lines(document: Document) -> Iterator[str]:
     )
     for run in document["runs"]:
         yield from _troubles(run)
+    for run in document["runs"]:
+        yield from _parity(run)
     if "against" in document:
         yield from _against(document["against"])
     thresholds = document["thresholds"]
@@ -123,6 +126,14 @@ def _troubles(run: RunDocument) -> Iterator[str]:
         yield "**Judged otherwise than by the golden table**"
         yield ""
         yield from _flips(run["flips"], column_count(run))
+
+
+def _parity(run: RunDocument) -> Iterator[str]:
+    if "parity" in run:
+        reference = _text(run["parity"]["reference"])
+        yield f"**Parity of {_text(run_title(run))} with {reference}**"
+        yield ""
+        yield from _fenced(parity_lines(run["parity"]))
 
 
 def _speed(run: RunDocument) -> Iterator[str]:

@@ -14,6 +14,7 @@ from pytest_cpas.documents import (
     ItemOutcome,
     MemoryDocument,
     PairDocument,
+    ParityDocument,
     RunDocument,
     RunName,
     SpeedDocument,
@@ -134,6 +135,18 @@ def verdicts_message(run: RunDocument) -> str:
     for verdict in sorted(run["verdicts"], key=lambda v: SEVERITY.index(v["outcome"])):
         categories.setdefault(verdict["word"], []).append(verdict["category"])
     return "; ".join(f"{word} ({', '.join(names)})" for word, names in categories.items())
+
+
+def parity_lines(parity: ParityDocument) -> list[str]:
+    """The verdict on two codes, line by line."""
+    subject = "" if parity["subject"] == ALL else f" {parity['subject']}"
+    return f"{parity['word']}{subject}: {parity['details']}".splitlines()
+
+
+def parity_message(parity: ParityDocument) -> str:
+    """The word, and where."""
+    subject = "" if parity["subject"] == ALL else f" {parity['subject']}"
+    return f"parity with {parity['reference']}: {parity['word']}{subject}"
 
 
 def speed_lines(speed: SpeedDocument) -> list[str]:

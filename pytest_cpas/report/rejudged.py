@@ -61,11 +61,13 @@ def rejudged_run(told: RunDocument, protocols: Sequence[Protocol]) -> RunDocumen
     run = _ReportedRun(told, protocols)
     rows = [_row(sample, told) for sample in told["samples"] if sample["error"] is None]
     errors = {s["sample"]: s["error"] for s in told["samples"] if s["error"] is not None}
-    made = run_document(run, RunTable.of(run, rows), errors=errors, speed=told["speed"])
+    speed, parity = told["speed"], told.get("parity")
+    made = run_document(run, RunTable.of(run, rows), errors=errors, speed=speed, parity=parity)
     made["problems"] = told["problems"]  # the data set is not at hand either
     made["contract"], made["findings"] = told["contract"], told["findings"]
     made["up_axes"] = told["up_axes"]
-    made["outcome"] = run_outcome(told["problems"] or errors, told["contract"], told["speed"], [])
+    broken = told["problems"] or errors
+    made["outcome"] = run_outcome(broken, told["contract"], speed, [], parity)
     return made
 
 

@@ -1,4 +1,4 @@
-"""What comes back from the items of a run: rows, errors, the contract, a measured speed."""
+"""What comes back from the items of a run: rows, errors, the contract, speed and parity."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_cpas.checks.contract import CONTRACT, ContractResult
-from pytest_cpas.documents import SpeedDocument
+from pytest_cpas.documents import ParityDocument, SpeedDocument
 from pytest_cpas.evaluation import MergedRun, ResultsFile, Row, Run, named
+from pytest_cpas.report.panels import ValuePictures
 
 __all__ = ["CollectedRun", "ItemResult"]
 
@@ -58,7 +59,10 @@ def _drawn(choice: bytes, sample: str) -> bytes:
 
 
 class CollectedRun:
-    """All that has come back of one run; while it is open (``with``), also on disk if asked for."""
+    """All that has come back of one run; while it is open (``with``), also on disk if asked for.
+
+    ``parity``: the verdict beside a reference, and ``value_pictures`` of where the two part.
+    """
 
     def __init__(self, run: Run, file: ResultsFile | None = None) -> None:
         """Nothing yet, but for the rows that the results file has of a run that was killed."""
@@ -69,6 +73,8 @@ class CollectedRun:
         self._errors: dict[str, str] = {}
         self._contract: dict[str, ContractResult] = {}
         self._speed: SpeedDocument | None = None
+        self.parity: ParityDocument | None = None
+        self.value_pictures: ValuePictures | None = None
         self._named: frozenset[str] = frozenset()
         self._deselected: frozenset[str] = frozenset()
         self._refused = ""

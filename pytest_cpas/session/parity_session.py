@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,10 @@ import pytest
 
 from pytest_cpas import registry
 from pytest_cpas._files import write_file
+from pytest_cpas.documents import ParityDocument
 from pytest_cpas.evaluation import MethodRun, Revision, RevisionError
 from pytest_cpas.reading.text import folded, terminal_lines
+from pytest_cpas.report.panels import ValuePictures
 from pytest_cpas.report.terminal import Terminal
 from pytest_cpas.session.method_session import CpasSession, cpas_session
 from pytest_cpas.session.options import RunOptions
@@ -27,6 +29,8 @@ from pytest_cpas.traces.proposing import map_text
 from pytest_cpas.traces.references import MethodReference, RecordedReference, Reference
 from pytest_cpas.traces.revisions import RevisionReference
 from pytest_cpas.traces.running import Plan, Traced, TracedRun
+from pytest_cpas.traces.told import parity_document
+from pytest_cpas.traces.values import Array
 from pytest_cpas.types import ContractError, Verdict
 
 __all__ = ["TRACED", "ParitySession", "parity_session"]
@@ -44,6 +48,14 @@ class _Collected:
 
     traced: list[Traced] = field(default_factory=list)
     verdict: Verdict | None = None
+
+    def pictures_of(self, told: ParityDocument) -> ValuePictures | None:
+        """Those of the sample that is furthest off where the two part."""
+        worst = told["parting"] and told["parting"]["sample"]
+        for each in self.traced:
+            if each.sample == worst and each.pictures is not None:
+                return ValuePictures.of_plain(each.pictures)
+        return None
 
 
 class ParitySession(SuiteSession):
@@ -81,7 +93,7 @@ class ParitySession(SuiteSession):
         collected = self.collected[self.traced_runs[index]]
         collected.traced += [Traced.of_plain(each) for each in found]
 
-    @pytest.hookimpl(wrapper=True)
+    @pytest.hookimpl(wrapper=True, trylast=True)  # the report that is written next has them
     def pytest_runtestloop(self, session: pytest.Session) -> Generator[None, object, object]:
         """After the last item, on the controller: one report per run that is compared."""
         try:
@@ -105,6 +117,10 @@ class ParitySession(SuiteSession):
             run, reference = traced.run, traced.reference
             notes = reference.notes(run.identity)
             collected.verdict = judge_parity(found, reference.told, lacking, notes)
+            told = parity_document(collected.verdict, found, reference.told)
+            of_run = self.cpas.collected[run]
+            of_run.parity = told
+            of_run.value_pictures = collected.pictures_of(told)
             report_outcome(
                 session,
                 f"cpas-parity::verdict[{run.method}-{run.dataset}]",
@@ -169,7 +185,15 @@ def _plan(option: Namespace, options: RunOptions, here: Path) -> Plan:
         spread=option.cpas_trace_spread,
         proposes=option.cpas_parity_propose is not None,
         names=names,
+        draw=None if options.report is None else _draw,
     )
+
+
+def _draw(here: Array, reference: Array) -> Mapping[str, Any] | None:
+    from pytest_cpas.report.value_pictures import value_pictures  # Pillow, for a report only
+
+    drawn = value_pictures(here, reference)
+    return None if drawn is None else drawn.plain()
 
 
 def _most(told: str | None) -> int:

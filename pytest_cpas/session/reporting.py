@@ -45,6 +45,7 @@ class Reporter:
             findings=judged.explanations,
             golden=judged.golden,
             speed=collected.speed,
+            parity=collected.parity,
             # a large run has too many samples to list them for nobody
             samples=self.folder is not None or self.lists(len(judged.table.samples)),
         )
@@ -70,7 +71,12 @@ class Reporter:
             content["against"] = against(content["runs"], self.others)
         rows = {each.run: each.rows for each in collected}
         drawn = pictures(list(rows), rows, documents, content.get("against"))
-        write_report(content, self.folder, drawn)
+        values = {
+            (each.run.method, each.run.dataset): each.value_pictures
+            for each in collected
+            if each.value_pictures
+        }
+        write_report(content, self.folder, drawn, values)
         return self.folder / "report.html"
 
     def print(

@@ -68,7 +68,7 @@ class Comparison:
     ``differences``: of the values that both name, in the reference's order; ``undecided``: the
     first that differs where two right codes may, from which on nothing is compared;
     ``only_here`` and ``only_there``: what one side alone names; ``explanation``: of the first that
-    parts;
+    parts, and ``pair`` that value on both sides, if both have it;
     ``degrees``, ``millimetres``: how far the two answers are apart, None where one of them is none.
     """
 
@@ -77,6 +77,7 @@ class Comparison:
     only_here: Sequence[str] = ()
     only_there: Sequence[str] = ()
     explanation: Explanation = field(default_factory=Explanation)
+    pair: tuple[Value, Value] | None = None
     degrees: float | None = None
     millimetres: float | None = None
 
@@ -109,9 +110,10 @@ def compare(here: Trace, reference: Trace, replayed: Collection[str] = ()) -> Co
     if not left_open and (reference.reason is not None or here.reason is not None):
         differences.append(_outcome(here, reference))
     first = next((i for i, each in enumerate(differences) if each.word == "PARTS"), None)
-    explanation = Explanation()
+    explanation, pair = Explanation(), None
     if first is not None and first < len(pairs):
-        explanation = explain(*pairs[first], before=pairs[:first])
+        pair = pairs[first]
+        explanation = explain(*pair, before=pairs[:first])
     names = {value.key for value in reference.values}
     degrees, millimetres = _apart(here, reference)
     return Comparison(
@@ -120,6 +122,7 @@ def compare(here: Trace, reference: Trace, replayed: Collection[str] = ()) -> Co
         only_here=[v.told for v in here.values if v.key not in names],
         only_there=[v.told for v in reference.values if v.key not in ours],
         explanation=explanation,
+        pair=pair,
         degrees=degrees,
         millimetres=millimetres,
     )

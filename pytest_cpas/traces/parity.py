@@ -12,7 +12,7 @@ from pytest_cpas.traces.comparing import Comparison, Difference
 from pytest_cpas.types import Verdict, VerdictWord, some_of
 from pytest_cpas.types.samples import ALL
 
-__all__ = ["ParityWord", "SampleParity", "judge_parity"]
+__all__ = ["ParityWord", "Parting", "SampleParity", "first_parting", "judge_parity"]
 
 #: Values around the first that parts, which are told.
 BEFORE, BEHIND = 3, 2
@@ -93,6 +93,11 @@ class SampleParity:
             replayed=replayed,
         )
 
+    @property
+    def parts_at(self) -> str:
+        """The name of the first value that parts, whichever call of it; empty if none does."""
+        return self.parting.name.partition(", call ")[0] if self.parting else ""
+
     def plain(self) -> dict[str, Any]:
         """As plain values, which travel on test reports."""
         told = {name: getattr(self, name) for name in self.__dataclass_fields__}
@@ -113,6 +118,57 @@ class SampleParity:
         for name in ("only_here", "only_there"):
             told[name] = tuple(told[name])
         return cls(**told)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parting:
+    """Where samples part from the reference: ``name``, the first value at which they do; ``here``:
+    those that part there, of ``parted``, all that part; ``difference``: how the ``worst`` does."""
+
+    name: str
+    here: Sequence[SampleParity]
+    parted: Sequence[SampleParity]
+    worst: SampleParity
+    difference: Difference
+
+    @property
+    def degrees(self) -> float | None:
+        """How far the two answers of a sample are apart at most; None if none has both."""
+        return max((e.degrees for e in self.parted if e.degrees is not None), default=None)
+
+    @property
+    def millimetres(self) -> float | None:
+        """The same of their positions."""
+        return max((e.millimetres for e in self.parted if e.millimetres is not None), default=None)
+
+    @property
+    def changed(self) -> int:
+        """Samples of which one answer is correct and the other is not, in some column."""
+        return sum(bool(each.flips) for each in self.parted)
+
+    @property
+    def columns(self) -> Counter[str]:
+        """How many those are in each column."""
+        return Counter(column for each in self.parted for column in each.flips)
+
+
+def first_parting(samples: Sequence[SampleParity]) -> Parting | None:
+    """Where they part first, and most of them; None if none does."""
+    parted = [each for each in samples if each.parting is not None]
+    if not parted:
+        return None
+    first = min(each.place for each in parted if each.place is not None)
+    names = Counter(each.parts_at for each in parted if each.place == first)
+    name = names.most_common(1)[0][0]
+    here = [(each, each.parting) for each in parted if each.parting and each.parts_at == name]
+    worst, difference = max(here, key=lambda pair: pair[1].relative)
+    return Parting(
+        name=name,
+        here=[each for each, _ in here],
+        parted=parted,
+        worst=worst,
+        difference=difference,
+    )
 
 
 def judge_parity(
@@ -137,9 +193,8 @@ def _judged(samples: Sequence[SampleParity], reference: str, lacking: int) -> Ve
             ALL,
             f"{why}{left}; name values by tap in both, or in a map (--cpas-parity-map)",
         )
-    parted = [each for each in compared if each.parting is not None]
-    if parted:
-        return _parts(compared, parted, reference, left)
+    if found := first_parting(compared):
+        return _parts(found, compared, reference, left)
     noise = max(
         (each.noise for each in compared if each.noise),
         key=lambda each: each.relative,
@@ -161,61 +216,44 @@ def _judged(samples: Sequence[SampleParity], reference: str, lacking: int) -> Ve
     )
 
 
-def _parts(
-    compared: Sequence[SampleParity],
-    parted: Sequence[SampleParity],
-    reference: str,
-    left: str,
-) -> Verdict:
-    first = min(each.place for each in parted if each.place is not None)
-    here = [each for each in parted if each.place == first]
-    name = Counter(_name(each) for each in here).most_common(1)[0][0]
-    here = [each for each in parted if _name(each) == name]
-    worst = max(here, key=lambda each: each.parting.relative if each.parting else 0)
-    parting = worst.parting
-    if parting is None:
-        raise ValueError("a sample that parts nowhere")
+def _parts(found: Parting, compared: Sequence[SampleParity], reference: str, left: str) -> Verdict:
+    name, here, worst, parting = found.name, found.here, found.worst, found.difference
     stage = f", in the stage {parting.stage}" if parting.stage else ""
     drawn = ", which is drawn at random" if parting.kind == "draw" else ""
     told = [
-        f"{_told(parting)}{drawn}{stage} ({worst.sample}); {len(here)} of {len(compared)} samples"
-        f" part from {reference} here{left}"
+        f"{difference_words(parting)}{drawn}{stage} ({worst.sample}); {len(here)} of"
+        f" {len(compared)} samples part from {reference} here{left}"
     ]
-    told += [f"explained by: {words}" for words in _agreed([each.fits for each in here])]
+    told += [f"explained by: {words}" for words in agreed([each.fits for each in here])]
     if len(told) == 1:
-        told += [f"known of it: {words}" for words in _agreed([each.near for each in here])]
+        told += [f"known of it: {words}" for words in agreed([each.near for each in here])]
         told += [] if drawn else ["no usual mistake that was tried explains it"]
     if replays := {each.replayed for each in here if each.replayed}:
         told += [f"with what {reference} has drawn: {words}" for words in sorted(replays)[:3]]
-    told += _effect(parted)
+    told += _effect(found)
     told.append("around it:")
     told += [
-        f"  {each.word:11} {each.name}{'' if each.word == 'EXACT' else ': ' + _told(each)}"
+        f"  {each.word:11} {each.name}"
+        f"{'' if each.word == 'EXACT' else ': ' + difference_words(each)}"
         for each in worst.around
     ]
-    others = Counter(_name(each) for each in parted)
+    others = Counter(each.parts_at for each in found.parted)
     del others[name]
     if others:
         listed = ", ".join(f"{other} ({count})" for other, count in others.most_common(3))
         told.append(f"other samples part first at: {listed}")
-    details = _with_lines(ParityWord.PARTS, name, "\n  ".join(told), compared)
-    return dataclasses.replace(details, subject=name)
+    return _with_lines(ParityWord.PARTS, name, "\n  ".join(told), compared)
 
 
-def _name(each: SampleParity) -> str:
-    """Where a sample parts, whichever call of it."""
-    return each.parting.name.partition(", call ")[0] if each.parting else ""
-
-
-def _told(difference: Difference) -> str:
-    """How large a difference is, in words."""
+def difference_words(difference: Difference) -> str:
+    """How large a difference is."""
     if difference.problem:
         return difference.problem
     at = f" at {list(difference.at)}" if difference.at else ""
     return f"relative L2 {difference.relative:.1e}, the largest {difference.largest:.2g}{at}"
 
 
-def _agreed(said: Sequence[Sequence[str]]) -> list[str]:
+def agreed(said: Sequence[Sequence[str]]) -> list[str]:
     """What is said of all samples, or of how many it is; numbers of single samples aside."""
     count = Counter(words for each in said for words in each)
     told = []
@@ -224,22 +262,19 @@ def _agreed(said: Sequence[Sequence[str]]) -> list[str]:
     return told
 
 
-def _effect(parted: Sequence[SampleParity]) -> list[str]:
+def _effect(found: Parting) -> list[str]:
     """What the difference does to the answers and to the outcome."""
     lines = []
-    degrees = [each.degrees for each in parted if each.degrees is not None]
-    millimetres = [each.millimetres for each in parted if each.millimetres is not None]
-    if degrees:
+    both = sum(each.degrees is not None for each in found.parted)
+    if found.degrees is not None and found.millimetres is not None:
         lines.append(
-            f"answers: up to {max(degrees):.2g} deg and {max(millimetres):.2g} mm apart"
-            f" ({len(degrees)} of {len(parted)} samples that part have both)"
+            f"answers: up to {found.degrees:.2g} deg and {found.millimetres:.2g} mm apart"
+            f" ({both} of {len(found.parted)} samples that part have both)"
         )
-    flips = Counter(column for each in parted for column in each.flips)
-    changed = sum(bool(each.flips) for each in parted)
-    listed = ", ".join(f"{column} {count}" for column, count in flips.most_common(4))
+    listed = ", ".join(f"{column} {count}" for column, count in found.columns.most_common(4))
     lines.append(
-        f"outcomes: of {changed} samples one is correct and the other is not ({listed})"
-        if changed
+        f"outcomes: of {found.changed} samples one is correct and the other is not ({listed})"
+        if found.changed
         else "outcomes: none is another at any threshold"
     )
     return lines

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from pytest_cpas.evaluation import MethodError, MethodRun, RevisionError, SampleError, measure
 from pytest_cpas.protocols import count_columns, judge_outcomes
-from pytest_cpas.traces.comparing import compare
+from pytest_cpas.traces.comparing import Comparison, compare
 from pytest_cpas.traces.files import DEFAULT_MOST, Header, read_header, stem_of, write_sample
 from pytest_cpas.traces.maps import NameMap
 from pytest_cpas.traces.parity import SampleParity
@@ -17,6 +17,7 @@ from pytest_cpas.traces.proposing import Proposal, propose
 from pytest_cpas.traces.recording import Trace, answer_of, draws_of, record
 from pytest_cpas.traces.references import NoTraceError, Reference
 from pytest_cpas.traces.spread import with_spread
+from pytest_cpas.traces.values import Array
 from pytest_cpas.types import DataError, Prediction, Sample, SampleRef, words_of
 
 __all__ = ["Plan", "Traced", "TracedRun"]
@@ -26,19 +27,22 @@ __all__ = ["Plan", "Traced", "TracedRun"]
 class Plan:
     """What is done with traces: ``folder``, where they are recorded, each sample in at most about
     ``most`` bytes; ``spread``: whether the noise of the method is measured; ``proposes``:
-    whether a map of names is; ``names``: how the reference's values are called here."""
+    whether a map of names is; ``names``: how the reference's values are called here; ``draw``:
+    makes pictures, as plain values, of a value here and in the reference, if it can."""
 
     folder: Path | None = None
     most: int = DEFAULT_MOST
     spread: bool = False
     proposes: bool = False
     names: NameMap = field(default_factory=NameMap)
+    draw: Callable[[Array, Array], Mapping[str, Any] | None] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Traced:
     """What became of a sample: ``written`` bytes, 0 if it was there already; ``lacking``: the
-    reference has no trace of it; ``parity``: how it compares; ``proposal``: of a map of names."""
+    reference has no trace of it; ``parity``: how it compares; ``proposal``: of a map of names;
+    ``pictures``: of the value at which it parts, as of :class:`Plan`."""
 
     sample: str
     written: int = 0
@@ -46,6 +50,7 @@ class Traced:
     lacking: bool = False
     parity: SampleParity | None = None
     proposal: Proposal = field(default_factory=dict)
+    pictures: Mapping[str, Any] | None = None
 
     def plain(self) -> dict[str, Any]:
         """As plain values, which travel on test reports."""
@@ -63,6 +68,7 @@ class TracedRun:
 
     def __init__(self, run: MethodRun, plan: Plan, reference: Reference | None) -> None:
         self.run, self.plan, self.reference = run, plan, reference
+        self._furthest: dict[str, float] = {}
 
     @property
     def folder(self) -> Path | None:
@@ -101,7 +107,7 @@ class TracedRun:
             written = write_sample(folder, replace(header, spread_of=spread_of), trace)
         proposal: dict[str, bool] = {}
         try:
-            parity = self._compared(ref, sample, trace, proposal)
+            parity, pictures = self._compared(ref, sample, trace, proposal)
         except (NoTraceError, RevisionError, DataError) as error:
             raise SampleError(f"{where}: {error}") from None
         lacking = self.reference is not None and parity is None
@@ -112,6 +118,7 @@ class TracedRun:
             lacking=lacking,
             parity=parity,
             proposal=proposal,
+            pictures=pictures,
         )
 
     def _header(self, ref: SampleRef) -> Header:
@@ -138,14 +145,15 @@ class TracedRun:
 
     def _compared(
         self, ref: SampleRef, sample: Sample, trace: Trace, proposal: dict[str, bool]
-    ) -> SampleParity | None:
-        """How a trace compares; into ``proposal`` goes that of a map, if one is asked for."""
+    ) -> tuple[SampleParity | None, Mapping[str, Any] | None]:
+        """How a trace compares, and pictures; into ``proposal`` goes that of a map, if one is
+        asked for."""
         if self.reference is None:
-            return None
+            return None, None
         run, names = self.run, self.plan.names
         theirs = self.reference.trace(ref, sample.observation, run.seed)
         if theirs is None:
-            return None
+            return None, None
         theirs = names.applied(theirs)
         if self.plan.proposes:
             proposal |= propose(trace, theirs)
@@ -161,7 +169,22 @@ class TracedRun:
                 replayed = f"it parts at {first.name}" if first else "no value parts"
             except Exception as error:
                 replayed = f"it cannot be used here ({words_of(error)})"
-        return SampleParity.of(ref.id, found, self._flips(sample, trace, theirs), replayed)
+        flips = self._flips(sample, trace, theirs)
+        parity = SampleParity.of(ref.id, found, flips, replayed)
+        return parity, self._pictures(parity, found)
+
+    def _pictures(self, parity: SampleParity, found: Comparison) -> Mapping[str, Any] | None:
+        """Of the value at which a sample parts, if it is further off than any before it: so there
+        are few, and there is the one of the worst sample."""
+        draw, name = self.plan.draw, parity.parts_at
+        if draw is None or parity.parting is None or found.pair is None:
+            return None
+        size = parity.parting.relative
+        if size <= self._furthest.get(name, -1.0):
+            return None
+        self._furthest[name] = size
+        own, theirs = found.pair
+        return draw(own.kept, theirs.kept) if own.is_whole and theirs.is_whole else None
 
     def _again(self, sample: Sample, theirs: Trace, names: Sequence[str]) -> Trace:
         """The trace with what the reference has drawn."""

@@ -6,7 +6,7 @@ import make_schema
 import pytest
 import tiny
 from report_schema import VALIDATOR, follow_schema
-from tables import CPAS, Fixed, a_run, a_speed, rows, table
+from tables import CPAS, Fixed, a_parity, a_run, a_speed, rows, table
 
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.golden import RunTable
@@ -40,6 +40,7 @@ def full_document() -> dict:
     told["up_axes"] = up_axes(method, [method.judge(ref) for ref in method.samples])
     told["speed"] = a_speed(0.25)
     told["findings"] = [{"category": "mug", "name": "a mistake", "lines": ["it is this one"]}]
+    told["parity"] = a_parity()
     told["contract"] = [{"check": "repeatable", "status": "violated", "message": "twice"}]
     paper = Fixed("spd", "real275", run.samples, identity={})
     runs = [told, run_document(paper, RunTable.of(paper, judged))]
@@ -127,6 +128,14 @@ SPOILED = [
     ("runs/0/speed/verdict", GONE),
     ("runs/0/speed/verdict/word", "SLOW"),
     ("runs/0/speed/verdict/limit", 1),
+    ("runs/0/parity", None),
+    ("runs/0/parity/word", "PARTS"),
+    ("runs/0/parity/compared", -1),
+    ("runs/0/parity/parting", GONE),
+    ("runs/0/parity/parting/samples", 0),
+    ("runs/0/parity/parting/around/0/word", "SAME"),
+    ("runs/0/parity/parting/around/0/relative", -1),
+    ("runs/0/parity/parting/columns/5 deg, 1 cm", 0),
     ("runs/0/identity/data", 1),
     ("runs/0/provenance", None),
     ("runs/0/up_axes/truth/count", 0),
@@ -165,6 +174,9 @@ def test_the_schema_refuses_a_spoiled_document(path, value):
     [
         "runs/0/published_as",
         "runs/0/speed",
+        "runs/0/parity/parting",
+        "runs/0/parity/parting/degrees",
+        "runs/0/parity/parting/around/1/relative",
         "runs/0/up_axes",
         "runs/0/up_axes/truth",
         "runs/0/precision/0/measured",

@@ -12,8 +12,9 @@ import subprocess
 from dataclasses import replace
 from urllib.parse import urlencode
 
+import numpy as np
 import pytest
-from tables import CPAS
+from tables import CPAS, a_parity
 
 from pytest_cpas.evaluation import Answer, Row, Run
 from pytest_cpas.facts import fact
@@ -22,6 +23,8 @@ from pytest_cpas.golden.comparison import compare
 from pytest_cpas.report.against import against
 from pytest_cpas.report.document import document, run_document
 from pytest_cpas.report.files import write_report
+from pytest_cpas.report.panels import ValuePictures
+from pytest_cpas.report.value_pictures import value_pictures
 from pytest_cpas.types import SampleRef
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -182,6 +185,7 @@ def content():
         stored_run("synthetic-tabletop", better, hostile),
         stored_run("synthetic-handheld", better, hostile),
     ]
+    runs[1]["parity"] = a_parity()
     made = document(runs, 1, CPAS)
     old = [stored_run("synthetic-handheld", better), stored_run("synthetic-tabletop", worse)]
     made["against"] = against(runs, old)
@@ -191,7 +195,15 @@ def content():
 @pytest.fixture(scope="module")
 def address(content, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    write_report(content, folder, {})
+    random = np.random.default_rng(0)
+    ball = random.standard_normal((1, 600, 3))
+    ball /= np.linalg.norm(ball, axis=2, keepdims=True)
+    moved = ball + (ball[..., :1] > 0.8) * [0.0, 0.5, 0.2]
+    waves = np.sin(np.arange(5 * 40 * 60).reshape(5, 40, 60) / 100)
+    drawn = [value_pictures(moved, ball), value_pictures(np.roll(waves, 2, 1), waves)]
+    rows = [row for each in drawn for row in each.rows]
+    pictures = ValuePictures(rows=rows, remarks=drawn[0].remarks)
+    write_report(content, folder, {}, {("icp", "synthetic-handheld"): pictures})
     return (folder / "report.html").as_uri()
 
 
@@ -315,6 +327,24 @@ def test_worst_first(browser, address, content):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 390])
+def test_pictures_of_values(browser, address, width, scheme):
+    """Three beside each other, all decoded, none wider than the screen, each with its scale."""
+    browser.show(address, width, scheme=scheme)
+    images = "[...document.querySelectorAll('.values img')]"
+    assert browser.run(f"{images}.map(i => i.naturalWidth)") == [256] * 3 + [240] * 9
+    ends = browser.run(
+        f"{images}.map(i => [i.getBoundingClientRect()].map(r => [r.x, r.right])[0])"
+    )
+    tops = browser.run(f"{images}.map(i => i.getBoundingClientRect().y)")
+    assert all(0 <= left < right <= width for left, right in ends)
+    assert [tops[i] for i in (1, 2)] == [tops[0]] * 2
+    bars = "[...document.querySelectorAll('.values .ramp > span')]"
+    assert browser.run(f"{bars}.every(b => b.getBoundingClientRect().width > 60)")
+    assert len(browser.run(f"{bars}.map(b => getComputedStyle(b).backgroundImage)")) == 11
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
 def test_looks(browser, address, width, scheme, tmp_path_factory):
     """Readable in both schemes, nothing wider than the screen; the pictures are kept to look at."""
     browser.show(address, width, scheme=scheme)
@@ -337,4 +367,4 @@ def test_nothing_is_loaded_run_or_complained_about(browser, address):
     assert "hacked" not in browser.run("document.title")
     assert browser.console == []
     others = {url.partition("#")[0] for url in browser.requests} - {address, "about:blank"}
-    assert others == set()
+    assert {url.partition(",")[0] for url in others} == {"data:image/webp;base64"}

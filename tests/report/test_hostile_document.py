@@ -2,6 +2,7 @@
 
 import copy
 
+import numpy as np
 import pytest
 from hostile import (
     ALL,
@@ -12,7 +13,7 @@ from hostile import (
     harmless_markdown,
 )
 from made_documents import a_run_document
-from tables import GOLDEN, REFS, Fixed, a_row, a_speed, rows
+from tables import GOLDEN, REFS, Fixed, a_parity, a_row, a_speed, rows
 
 from pytest_cpas.checks.contract import ContractResult
 from pytest_cpas.checks.outcome import Outcome
@@ -23,6 +24,7 @@ from pytest_cpas.report.export import precision_csv, precision_tex
 from pytest_cpas.report.markdown import markdown
 from pytest_cpas.report.page import page
 from pytest_cpas.report.terminal import Terminal, print_run
+from pytest_cpas.report.value_pictures import value_pictures
 from pytest_cpas.types import Verdict
 
 #: Keys whose text may be anybody's; those of lists are their own.
@@ -31,6 +33,7 @@ FREE = {
     *("failure", "error", "before", "after", "lines", "missing", "problems", "differences"),
     *("unpaired", "cpu", "device", "system", "python", "versions", "threads", "categories"),
     *("identity", "provenance", "machine", "lacking", "scene", "notes"),
+    *("subject", "reference", "value", "stage", "explained_by", "known"),
 }
 
 #: Mappings whose keys are names: their texts are all of one kind.
@@ -40,7 +43,7 @@ KEYED = ("identity", "provenance", "versions", "definitions")
 CLOSED = {
     *("outcome", "golden", "threshold", "thresholds", "word", "status", "published_as", "kind"),
     *("clock", "host_source", "published", "lost", "gained", "changed"),
-    *("score", "guards", "better", "definitions"),
+    *("score", "guards", "better", "definitions", "columns"),
 }
 
 
@@ -59,6 +62,7 @@ def a_document() -> dict:
             ContractResult("colour", Outcome.VIOLATED, False, "nor so"),
         ],
         "speed": a_speed(0.2),
+        "parity": a_parity(),
     }
     content = document([a_run_document(run, judged, GOLDEN, **made)], 1, run.protocols)
     content["runs"][0]["findings"] = [{"category": "can", "name": "frame", "lines": ["do so"]}]
@@ -125,11 +129,18 @@ def test_document_of_hostile_text(text):
     plain, _ = hostile(a_document(), "x")
     content, seen = hostile(a_document(), text)
     assert seen >= {"method", "sample", "failure", "error", "missing", "details", "lines", "cpu"}
-    assert seen >= {"notes"}
+    assert seen >= {"notes", "subject", "reference", "value", "stage", "explained_by"}
     assert text in next(iter(content["runs"][0]["failures"]))
     harmless_markdown(markdown(content))
     harmless_csv(precision_csv(content))
-    harmless_html(page(content, {}), page(plain, {}))
+    drawn = value_pictures(np.eye(9), np.ones((9, 9)))
+    pages = [
+        page(each, {}, {(run["method"], run["dataset"]): drawn})
+        for each in (content, plain)
+        for run in each["runs"]
+    ]
+    harmless_html(*pages)
+    assert pages[0].count("data:image/webp") == 3
     tex = precision_tex(content)
     assert "\\input" not in tex.partition("\n")[2]
     assert tex.count("\n") == precision_tex(plain).count("\n")

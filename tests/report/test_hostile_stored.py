@@ -7,7 +7,7 @@ from copy import deepcopy
 import pytest
 from made_documents import a_run_document
 from report_schema import VALIDATOR
-from tables import CPAS, GOLDEN, a_row, a_run, rows
+from tables import CPAS, GOLDEN, a_parity, a_row, a_run, rows
 
 from pytest_cpas.reading.schemas import check_schema
 from pytest_cpas.report.document import document
@@ -18,7 +18,7 @@ from pytest_cpas.types import DataError
 def made() -> dict:
     """A report of ten samples, of which one has no answer, beside a golden table."""
     judged = [a_row("s/00", "can", failure="it failed"), *rows(s_03=9.0)[1:]]
-    return document([a_run_document(a_run(), judged, GOLDEN)], 0, CPAS)
+    return document([a_run_document(a_run(), judged, GOLDEN, parity=a_parity())], 0, CPAS)
 
 
 GOOD = made()
@@ -94,6 +94,14 @@ EDITS = {
     "curve": (
         run(lambda r: r["curves"]["position_m"][0].update(correct=9999)), "9999.*judged samples"),
     "flip in no column": (run(lambda r: r["flips"][0]["lost"].append("x")), "no columns"),
+    "parity that parts nowhere": (
+        run(lambda r: r["parity"].update(parting=None)), "PARTS AT, and no value that parts"),
+    "parity that parts and does not": (
+        run(lambda r: r["parity"].update(word="EXACT", outcome="passed")), "EXACT, and a value"),
+    "more part than are compared": (
+        run(lambda r: r["parity"]["parting"].update(samples=2)), "2 of 1 samples part"),
+    "parity passes": (
+        run(lambda r: r["parity"].update(outcome="passed")), "passed, and PARTS AT is failed"),
     "method with a path": (run(lambda r: r.update(method="../../x")), "becomes a folder"),
 }  # fmt: skip
 

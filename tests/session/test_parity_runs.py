@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harness import RUN, unfolded
+from report_schema import follow_schema
 
 from pytest_cpas.traces.files import read_sample, samples_in
 
@@ -279,6 +280,45 @@ def test_spread_is_measured_and_allowed(traced, pytester):
     assert line["spread_of"] == dict(told)
     assert np.isclose(float(told["noise"]), max(s for s in spread.values() if s), rtol=0.1)
     assert traced("Traced", "--cpas-parity=out").ret == 0
+
+
+@pytest.mark.parametrize("workers", [(), ("-n2",)])
+def test_report_has_the_verdict_and_pictures(recorded_trace, pytester, workers):
+    result = recorded_trace("Scaled", "--cpas-parity=out", "--cpas-report=report", *workers)
+    content = json.loads((pytester.path / "report" / "report.json").read_text())
+    follow_schema(content)
+    [run] = content["runs"]
+    told = run["parity"]
+    assert (run["outcome"], told["outcome"], told["word"]) == ("failed", "failed", "PARTS AT")
+    assert (told["reference"], told["compared"]) == ("the trace of perfect", 4)
+    parting = told["parting"]
+    assert (parting["value"], parting["stage"], parting["samples"]) == ("features", "network", 4)
+    assert parting["explained_by"] == ["scaled by 1.5"]
+    assert (parting["degrees"], parting["millimetres"], parting["columns"]) == (0, 0, {})
+    words = {each["value"]: each["word"] for each in parting["around"]}
+    assert words == {"chosen": "EXACT", "input.points": "EXACT", "features": "PARTS"} | {
+        f"answer.{name}": "EXACT" for name in ("rotation", "translation")
+    } | {"input.depth.0": "EXACT"}
+    first = verdict(result).removeprefix("parity of perfect on tiny: ").partition("; ")[0]
+    for name in ("report.md", "report.html"):
+        text = (pytester.path / "report" / name).read_text()
+        assert first in text
+        assert "explained by: scaled by 1.5" in text
+        assert "features: relative L2 5.0e-01" in text
+    # of the only picture that there is of a sample: it is the one that is told
+    assert text.count("data:image/webp") == 3
+    assert f"features in {parting['sample']}:" in text
+
+
+def test_report_of_parity_that_passes(recorded_trace, pytester):
+    recorded_trace("Noisy", "--cpas-parity=out", "--cpas-report=report")
+    content = json.loads((pytester.path / "report" / "report.json").read_text())
+    told = content["runs"][0]["parity"]
+    assert (told["word"], told["subject"], told["parting"]) == ("FLOAT NOISE", "all", None)
+    assert content["runs"][0]["outcome"] == "skipped"  # there is no golden table
+    text = (pytester.path / "report" / "report.html").read_text()
+    assert "parity with the trace of perfect: FLOAT NOISE" in text
+    assert "data:image/webp" not in text
 
 
 def test_methods_in_another_interpreter(traced, pytester):

@@ -10,24 +10,38 @@ import base64
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from pytest_cpas.documents import Document, RunDocument
 from pytest_cpas.report._html import Child, Element, element, page_text
 from pytest_cpas.report.document import SEVERITY
-from pytest_cpas.report.messages import judged_message, outcome_message, run_title, verdicts_message
+from pytest_cpas.report.messages import (
+    judged_message,
+    outcome_message,
+    parity_message,
+    run_title,
+    verdicts_message,
+)
 from pytest_cpas.report.page._comparison import comparison
 from pytest_cpas.report.page._methods import overview, precision, run_times, up_axes
 from pytest_cpas.report.page._parts import badge, sample_link
 from pytest_cpas.report.page._runs import run_details
 from pytest_cpas.report.page._samples import sample_data, sample_list
+from pytest_cpas.report.panels import ValuePictures
 
 
-def page(document: Document, pictures: Mapping[tuple[str, str], Mapping[str, bytes]]) -> str:
-    """The text of ``report.html``; ``pictures``: as of :func:`.pictures.pictures`."""
+def page(
+    document: Document,
+    pictures: Mapping[tuple[str, str], Mapping[str, bytes]],
+    values: Mapping[tuple[str, str], ValuePictures] = MappingProxyType({}),
+) -> str:
+    """The text of ``report.html``; ``pictures``: as of :func:`.pictures.pictures`; ``values``: by
+    method and data set, of the value at which a method parts from another one."""
     runs = document["runs"]
     details = [
-        run_details(run, index, document, pictures.get((run["method"], run["dataset"]), {}))
+        run_details(run, index, document, pictures.get(key, {}), values.get(key))
         for index, run in enumerate(runs)
+        for key in [(run["method"], run["dataset"])]
     ]
     failed = sum(run["outcome"] == "failed" for run in runs)
     script = _asset("page.js")
@@ -109,6 +123,7 @@ def _card(run: RunDocument, index: int) -> Element:
         element("p", f"speed: {run['speed']['verdict']['word']}", class_="faint")
         if run["speed"]
         else None,
+        element("p", parity_message(run["parity"]), class_="faint") if "parity" in run else None,
         element("p", links) if links else None,
         class_=f"card {run['outcome']}",
     )

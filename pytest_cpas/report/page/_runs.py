@@ -12,7 +12,9 @@ from pytest_cpas.report._html import Child, Element, element
 from pytest_cpas.report.intervals import interval_messages, interval_note
 from pytest_cpas.report.literature import REMARK, literature_table, printed_rows
 from pytest_cpas.report.messages import contract_message, flip_message, run_title, troubles
+from pytest_cpas.report.page._parity import parity
 from pytest_cpas.report.page._parts import badge, flip_table, protocol_head, table
+from pytest_cpas.report.panels import ValuePictures
 from pytest_cpas.report.tables import (
     Cell,
     SideCell,
@@ -29,7 +31,11 @@ _UNFOLDED = 2
 
 
 def run_details(
-    run: RunDocument, index: int, document: Document, pictures: Mapping[str, bytes]
+    run: RunDocument,
+    index: int,
+    document: Document,
+    pictures: Mapping[str, bytes],
+    values: ValuePictures | None = None,
 ) -> Element:
     """Everything about a run, folded unless something is wrong with it."""
     opened = run["outcome"] == "failed" or len(document["runs"]) <= _UNFOLDED
@@ -37,6 +43,7 @@ def run_details(
         "details",
         element("summary", f"{run_title(run)} ", badge(run["outcome"])),
         list(_troubles(run)),
+        list(parity(run, values)),
         _gallery(run, pictures) if pictures else None,
         element("h3", "Per category"),
         list(_category_tables(run)),
