@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 ITERATIONS = 128
 DRAWN = 5
+#: Of the iterations, those whose hypotheses are made and looked at together.
+TOGETHER = 16
 CONFIDENCE = 0.99
 LEAST_INLIERS = 0.1
 #: Points whose variance is smaller, relative to their squared length, are one point.
@@ -82,20 +84,42 @@ def robust_umeyama(source: Array, target: Array, generator: np.random.Generator)
         raise NoSimilarityError("the correspondences are not finite")
     diameter = 2 * np.linalg.norm(source - source.mean(axis=0), axis=1).max()
     drawn = draw("ransac", generator.integers(len(source), size=(ITERATIONS, DRAWN)))
-    hypotheses = umeyama(source[drawn], target[drawn])
-    limit = hypotheses.scale[:, None] * diameter / 10
-    inliers = hypotheses.residuals(source, target) < limit  # NaN is not
-    ratio = inliers.mean(axis=1)
-    best_so_far = np.maximum.accumulate(ratio)
-    enough = 1 - (1 - best_so_far**DRAWN) ** np.arange(ITERATIONS) > CONFIDENCE
-    tried = int(np.argmax(enough)) + 1 if enough.any() else ITERATIONS
-    best = int(np.argmax(ratio[:tried]))
-    if ratio[best] < LEAST_INLIERS:
+    # a hypothesis is as good as it is, however many are looked at; most clouds need few of them
+    best, ratio, tried = np.zeros(len(source), bool), 0.0, 0
+    for block in drawn.reshape(-1, TOGETHER, DRAWN):
+        inliers = _inliers(umeyama(source[block], target[block]), source, target, diameter)
+        ratios = inliers.mean(axis=1)
+        best_so_far = np.maximum(np.maximum.accumulate(ratios), ratio)
+        sure = 1 - (1 - best_so_far**DRAWN) ** (tried + np.arange(TOGETHER)) > CONFIDENCE
+        enough = bool(sure.any())
+        looked_at = int(np.argmax(sure)) + 1 if enough else TOGETHER
+        tried += looked_at
+        first = int(np.argmax(ratios[:looked_at]))
+        if ratios[first] > ratio:
+            best, ratio = inliers[first], float(ratios[first])
+        if enough:
+            break
+    if ratio < LEAST_INLIERS:
         raise NoSimilarityError(
-            f"no pose fits the correspondences: {np.count_nonzero(inliers[best])} of {len(source)}"
+            f"no pose fits the correspondences: {np.count_nonzero(best)} of {len(source)}"
             f" agree with the best of {tried}, expected {100 * LEAST_INLIERS:.0f} % at least"
         )
-    fitted = umeyama(source[inliers[best]], target[inliers[best]])
+    fitted = umeyama(source[best], target[best])
     if not fitted.scale > 0:
         raise NoSimilarityError(f"no pose fits the correspondences: their scale is {fitted.scale}")
     return fitted
+
+
+def _inliers(
+    hypotheses: Similarity, source: Array, target: Array, diameter: float
+) -> NDArray[np.bool_]:
+    """Which points (K, N) of each of K hypotheses end near enough; coordinate by coordinate, for
+    sums over an axis of three are slow."""
+    scaled = hypotheses.scale[:, None, None] * hypotheses.rotation
+    moved = scaled @ source.T
+    moved -= target.T - hypotheses.translation[:, :, None]
+    np.square(moved, out=moved)
+    squared = moved[:, 0] + moved[:, 1] + moved[:, 2]
+    # a scale is positive, 0 or NaN, which no distance is below
+    near: NDArray[np.bool_] = squared < np.square(hypotheses.scale * diameter / 10)[:, None]
+    return near
