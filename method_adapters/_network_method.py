@@ -16,7 +16,7 @@ from method_adapters._crop import NoAnswerError
 from pytest_cpas.adapting import Hypothesis, MethodInfo, Observation, Prediction, stage, tap
 
 if TYPE_CHECKING:
-    from torch import nn
+    from torch import Tensor, nn
 
 Array = NDArray[np.float64]
 
@@ -44,11 +44,17 @@ class NetworkMethod(Needy, ABC, Generic[InputsT]):
     def prepare(self, observation: Observation, generator: np.random.Generator) -> InputsT:
         """What the network sees of an observation; raises :class:`NoAnswerError`."""
 
+    def essence(self, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> Sequence[Tensor]:
+        """What :meth:`interpret` takes of a batch, made of the network's inputs and outputs where
+        these are."""
+        return outputs
+
     @abstractmethod
     def interpret(
         self, inputs: InputsT, outputs: tuple[Array, ...], generator: np.random.Generator
     ) -> Hypothesis:
-        """The answer from one sample's inputs and outputs; raises :class:`NoAnswerError`."""
+        """The answer from one sample's inputs and the essence of its outputs; raises
+        :class:`NoAnswerError`."""
 
     def load(self, assets: Path | None, device: str) -> None:
         """Read the weights, the first of the assets, below the folder ``assets``.
@@ -64,6 +70,8 @@ class NetworkMethod(Needy, ABC, Generic[InputsT]):
 
     def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:
         """One prediction per observation."""
+        from method_adapters._networks.running import arrays
+
         generators = [np.random.default_rng(seed) for _ in batch]
         predictions: dict[int, Prediction] = {}
         inputs: dict[int, InputsT] = {}
@@ -78,8 +86,9 @@ class NetworkMethod(Needy, ABC, Generic[InputsT]):
         for group in alike.values():
             with stage("network"):
                 stacked = [np.stack(part) for part in zip(*(inputs[i] for i in group), strict=True)]
-                outputs = self._run(*stacked)
+                given, raw = self._run.on_device(*stacked)
             with stage("post-processing"):
+                outputs = arrays(self.essence(given, raw))
                 for row, i in enumerate(group):
                     output = tuple(x[row] for x in outputs)
                     try:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ from pytest_cpas.adapting import (
     robust_umeyama,
     tap,
 )
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 #: x of the middle of the mug's mean shape, NOCS units: its handle pulls it off the origin.
 MUG_OFFSET = 0.08943803608
@@ -69,12 +73,19 @@ class PriorMethod(NetworkMethod[Inputs]):
             self._priors[category],
         )
 
+    def essence(self, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> Sequence[Tensor]:
+        """Coordinates and deformation, from the last two outputs, assignment and deformation."""
+        from method_adapters._networks.heads import assigned
+
+        *_, assign, deltas = outputs
+        return assigned(assign, inputs[-1], deltas), deltas
+
     def interpret(
         self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
     ) -> Hypothesis:
-        """From the last two outputs, assignment and deformation."""
-        *_, assign, deltas = outputs
-        return pose_from_assignment(inputs, assign, deltas, generator)
+        """From coordinates and deformation."""
+        coordinates, deltas = outputs
+        return pose_from_coordinates(inputs, coordinates, deltas, generator)
 
     def pick(self, count: int, generator: np.random.Generator) -> NDArray[np.int64]:
         """Which of ``count`` pixels are used."""
@@ -85,14 +96,13 @@ class PriorMethod(NetworkMethod[Inputs]):
         return observation.depth
 
 
-def pose_from_assignment(
-    inputs: Inputs, assign: Array, deltas: Array, generator: np.random.Generator
+def pose_from_coordinates(
+    inputs: Inputs, coordinates: Array, deltas: Array, generator: np.random.Generator
 ) -> Hypothesis:
-    """SPD's, CR-Net's and SGPA's answer: a similarity from the coordinates that the assignment
-    (N, M) gives the observed points to the points themselves (section 3.4 of SPD's paper)."""
+    """SPD's, CR-Net's and SGPA's answer: a similarity from the coordinates (N, 3) that the network
+    gives the observed points to the points themselves (section 3.4 of SPD's paper)."""
     shape = tap("shape", inputs.prior + deltas)
-    share = np.exp(assign - assign.max(axis=1, keepdims=True))
-    coordinates = tap("coordinates", share @ shape / share.sum(axis=1, keepdims=True))
+    tap("coordinates", coordinates)
     _, distinct = np.unique(inputs.choose, return_index=True)
     try:
         found = robust_umeyama(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from method_adapters._prior_method import Inputs, PriorMethod, prior_offset
 from pytest_cpas.adapting import Asset, Hypothesis, Observation
 
 if TYPE_CHECKING:
-    from torch import nn
+    from torch import Tensor, nn
 
 
 class Dpdn(PriorMethod):
@@ -51,11 +52,15 @@ class Dpdn(PriorMethod):
         """With its holes filled and smoothed, whole image."""
         return fill_depth(observation.depth)
 
+    def essence(self, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> Sequence[Tensor]:
+        """All but the attention."""
+        return outputs[1:]
+
     def interpret(
         self, inputs: Inputs, outputs: tuple[Array, ...], generator: np.random.Generator
     ) -> Hypothesis:
         """The network's own pose and size; the shape is scaled by the size's diagonal."""
-        _, shape, rotation, translation, size = outputs
+        shape, rotation, translation, size = outputs
         if not np.all(size > 0):  # NaN is not
             raise NoAnswerError(f"the estimated size is {size.tolist()}, not positive")
         diagonal = float(np.linalg.norm(size))

@@ -13,7 +13,7 @@ from pytest_cpas.reading.arrays import read_npy, read_npz
 from pytest_cpas.reading.checkpoints import read_tensors
 from pytest_cpas.reading.structured import read_yaml
 from pytest_cpas.similarity import NoSimilarityError, Similarity, robust_umeyama, umeyama
-from pytest_cpas.stages import TorchTaps, draw, stage, tap
+from pytest_cpas.stages import TorchTaps, draw, heard_by, stage, tap
 from pytest_cpas.types import (
     CATEGORIES,
     EQUIVARIANCES,
@@ -64,6 +64,7 @@ __all__ = [
     "Symmetry",
     "TorchTaps",
     "draw",
+    "heard_by",
     "import_open3d",
     "permute_extents",
     "read_npy",

@@ -76,6 +76,16 @@ def first_layer(layer: Any, parts: Sequence[Tensor]) -> Tensor:
     return y
 
 
+def assigned(assign: Tensor, prior: Tensor, deltas: Tensor) -> Tensor:
+    """The points (B, N, 3) of the deformed prior, float64, to which the logits ``assign``
+    (B, N, M) assign the observed ones; see :class:`Deformed`."""
+    shape = prior.double() + deltas
+    # one sample at a time: its shares take 8 MB
+    return torch.stack(
+        [x.softmax(1, dtype=torch.float64) @ y for x, y in zip(assign, shape, strict=True)]
+    )
+
+
 def at_pixels(feature_map: Tensor, choose: Tensor) -> Tensor:
     """Features (B, C, N) of (B, C, H, W) at row-major pixel indices (B, N)."""
     flat = feature_map.flatten(2)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from method_adapters._assets import AssetError, told_of_asset
-from pytest_cpas.adapting import TorchTaps, read_tensors
+from method_adapters._networks.graphs import Graphs, queued
+from pytest_cpas.adapting import TorchTaps, heard_by, read_tensors
 
 #: Where published checkpoints keep the weights, if not at the top.
 NESTED = ("model", "state_dict", "aae_state_dict", "model_state_dict")
@@ -106,9 +107,22 @@ class Runner:
         """Raises ValueError as :func:`device_named`."""
         self._device = device_named(device)
         self._network = network.eval().to(self._device)
+        self._graphs = Graphs(self._network)
 
     def __call__(self, *inputs: NDArray[Any]) -> tuple[NDArray[np.float64], ...]:
         """The outputs for one batch of ``inputs``; always the same on one device."""
+        _, outputs = self.on_device(*inputs)
+        return arrays(outputs)
+
+    def on_device(self, *inputs: NDArray[Any]) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+        """One batch of ``inputs`` and the outputs for it, where the network is."""
         with TorchTaps(self._network), torch.inference_mode(), full_precision():
-            outputs = self._network(*(torch.from_numpy(x).to(self._device) for x in inputs))
-            return tuple(output.double().cpu().numpy() for output in outputs)
+            given = tuple(torch.from_numpy(x).to(self._device) for x in inputs)
+            # a graph has no parts that could be tapped
+            replayed = queued(given[0]) and heard_by() is None
+            return given, (self._graphs if replayed else self._network)(*given)
+
+
+def arrays(outputs: Sequence[Tensor]) -> tuple[NDArray[np.float64], ...]:
+    """In host memory."""
+    return tuple(output.cpu().double().numpy() for output in outputs)

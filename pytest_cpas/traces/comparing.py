@@ -153,7 +153,9 @@ def difference(own: Value, theirs: Value) -> Difference:
         return Difference(**told, word="PARTS", relative=math.inf, at=at, problem=problem)
     finite = np.where(same, 0, b) if not np.isfinite(b).all() else b
     relative = _share(float(np.linalg.norm(apart)), float(np.linalg.norm(finite)))
-    without = _share(float(np.linalg.norm(apart)), float(np.linalg.norm(finite - finite.mean())))
+    spread = float(np.linalg.norm(finite - finite.mean()))
+    # of a single number nothing is left
+    without = _share(float(np.linalg.norm(apart)), spread) if a.size > 1 else 0.0
     allowed = allowed_of(theirs)
     noisy = relative <= allowed and without <= WITHOUT_MEAN * allowed
     return Difference(

@@ -301,7 +301,7 @@ FAULTS: dict[str, list[tuple[str, str, Callable[[Patch], None], str]]] = {
         (
             "crnet",
             "prior not added",
-            prior_not_added(_prior_method, "pose_from_assignment"),
+            prior_not_added(_prior_method, "pose_from_coordinates"),
             "shape",
         ),
         ("spd", "crop", crop_off_by_one(_prior_method, "crop_of"), "crop"),

@@ -12,7 +12,8 @@ import torch
 from method_adapters import _prior_method
 from method_adapters._crop import NoAnswerError, crop_of, network_image
 from method_adapters._networks import attention, crnet, heads, pointnet2, pspnet
-from method_adapters._prior_method import pose_from_assignment
+from method_adapters._networks.heads import assigned
+from method_adapters._prior_method import pose_from_coordinates
 from method_adapters.dpdn import Dpdn
 from pytest_cpas.types import CATEGORIES
 
@@ -167,27 +168,32 @@ def test_planted_fault_is_found(monkeypatch, check, name, plant):
     assert caught.type is AssertionError or plant is parts_concatenated_backwards
 
 
+def prior_not_added(inputs, *given):
+    return pose_from_coordinates(inputs._replace(prior=np.zeros_like(inputs.prior)), *given)
+
+
 @pytest.mark.parametrize(
-    ("fault", "category"),
+    ("module", "name", "fault", "category"),
     [
-        ("prior not added", "bottle"),
-        ("prior not added", "mug"),
-        ("assignment transposed", "bottle"),
-        ("mug not recentred", "mug"),
+        (test_port_preparation, "pose_from_coordinates", prior_not_added, "bottle"),
+        (test_port_preparation, "pose_from_coordinates", prior_not_added, "mug"),
+        (
+            test_port_preparation,
+            "assigned",
+            lambda assign, prior, deltas: assigned(assign, 0 * prior, deltas),
+            "mug",
+        ),
+        (
+            test_port_preparation,
+            "assigned",
+            lambda assign, prior, deltas: assigned(assign.mT, prior, deltas),
+            "bottle",
+        ),
+        (_prior_method, "MUG_OFFSET", 0.0, "mug"),
     ],
+    ids=["prior", "prior of a mug", "prior assigned", "transposed", "not recentred"],
 )
-def test_planted_fault_in_the_pose_is_found(monkeypatch, fault, category):
-    if fault == "mug not recentred":
-        monkeypatch.setattr(_prior_method, "MUG_OFFSET", 0.0)
-    else:
-
-        def broken(inputs, assign, deltas, generator):
-            if fault == "prior not added":
-                inputs = inputs._replace(prior=np.zeros_like(inputs.prior))
-            else:
-                assign = assign.T
-            return pose_from_assignment(inputs, assign, deltas, generator)
-
-        monkeypatch.setattr(test_port_preparation, "pose_from_assignment", broken)
+def test_planted_fault_in_the_pose_is_found(monkeypatch, module, name, fault, category):
+    monkeypatch.setattr(module, name, fault)
     with pytest.raises((AssertionError, NoAnswerError)):
         test_port_preparation.test_pose_from_a_known_assignment(CATEGORIES.index(category))

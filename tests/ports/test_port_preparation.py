@@ -18,7 +18,8 @@ from method_adapters._crop import (
     subset_in_order,
 )
 from method_adapters._depth_filling import fill_depth
-from method_adapters._prior_method import MUG_OFFSET, Inputs, pose_from_assignment
+from method_adapters._networks.heads import assigned
+from method_adapters._prior_method import MUG_OFFSET, Inputs, pose_from_coordinates
 from method_adapters.dpdn import Dpdn
 from pytest_cpas.similarity import NoSimilarityError, robust_umeyama, umeyama
 from pytest_cpas.types import Camera
@@ -179,6 +180,42 @@ def test_similarity_with_outliers():
     assert np.array_equal(found.rotation, again.rotation)
 
 
+def written_out(source, target, generator):
+    """RANSAC by its description, hypothesis by hypothesis."""
+    drawn = generator.integers(len(source), size=(128, 5))
+    reach = 2 * max(np.linalg.norm(source - source.mean(axis=0), axis=1)) / 10
+    best = np.zeros(len(source), bool)
+    for tried, chosen in enumerate(drawn):
+        hypothesis = umeyama(source[chosen], target[chosen])
+        inliers = hypothesis.residuals(source, target) < hypothesis.scale * reach
+        if inliers.sum() > best.sum():
+            best = inliers
+        if 1 - (1 - best.mean() ** 5) ** tried > 0.99:
+            break
+    return umeyama(source[best], target[best]), best.mean(), tried + 1
+
+
+@pytest.mark.parametrize("wrong", [0.1, 0.2, 0.5, 0.7, 0.97])
+def test_ransac_as_written_out(wrong):
+    """In the first block of hypotheses, in a later one, in none."""
+    random = np.random.default_rng(round(100 * wrong))
+    source = random.uniform(-0.5, 0.5, (400, 3))
+    target = moved(source, 0.2, np.eye(3), np.array([0.1, 0, 1]))
+    outlier = random.random(400) < wrong
+    target[outlier] = np.array([0.1, 0, 1]) + random.uniform(-0.3, 0.3, (outlier.sum(), 3))
+    expected, share, tried = written_out(source, target, np.random.default_rng(0))
+    if share < 0.1:
+        told = f"{round(share * 400)} of 400 agree with the best of {tried},"
+        with pytest.raises(NoSimilarityError, match=told):
+            robust_umeyama(source, target, np.random.default_rng(0))
+    else:
+        found = robust_umeyama(source, target, np.random.default_rng(0))
+        np.testing.assert_array_equal(found.rotation, expected.rotation)
+        np.testing.assert_array_equal(found.translation, expected.translation)
+        assert found.scale == expected.scale
+    assert (tried <= 16) == (wrong < 0.3), tried
+
+
 @pytest.mark.parametrize("source", ["noise", "one point", "nan"])
 def test_no_similarity_is_said(source):
     random = np.random.default_rng(0)
@@ -214,7 +251,9 @@ def test_pose_from_a_known_assignment(category):
         np.array(category),
         prior,
     )
-    found = pose_from_assignment(inputs, assign, deltas, np.random.default_rng(0))
+    parts = (torch.from_numpy(x)[None] for x in (assign, prior, deltas))
+    coordinates = assigned(*parts)[0].numpy()
+    found = pose_from_coordinates(inputs, coordinates, deltas, np.random.default_rng(0))
     np.testing.assert_allclose(found.rotation, rotation, atol=1e-5)
     # the mug's middle is moved to the origin; what is seen stays where it is
     offset = np.array([MUG_OFFSET if category == 5 else 0, 0, 0])
@@ -227,7 +266,7 @@ def test_pose_from_a_known_assignment(category):
 def test_dpdn_answer():
     size = np.array([0.1, 0.2, 0.2])
     shape = cases.priors()[5]
-    outputs = (np.zeros(1), shape, np.eye(3), np.array([0.0, 0, 1]), size)
+    outputs = (shape, np.eye(3), np.array([0.0, 0, 1]), size)
     inputs = Inputs(*(np.zeros(1),) * 3, np.array(5), np.zeros(1))
     found = Dpdn().interpret(inputs, outputs, np.random.default_rng(0))
     # published: the mug's shape is recentred, its position is not
@@ -235,6 +274,6 @@ def test_dpdn_answer():
     np.testing.assert_array_equal(found.translation, [0, 0, 1])
     np.testing.assert_array_equal(found.extents, size)
     for bad in (-0.01, 0.0, np.nan):
-        outputs = (*outputs[:4], np.array([0.1, bad, 0.2]))
+        outputs = (*outputs[:3], np.array([0.1, bad, 0.2]))
         with pytest.raises(NoAnswerError, match="not positive"):
             Dpdn().interpret(inputs, outputs, np.random.default_rng(0))
