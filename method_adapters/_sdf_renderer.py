@@ -128,9 +128,11 @@ def _shared_as_published(sdf: Tensor, at: Tensor) -> Tensor:
     x, y, z = (cell - base).unbind(-1)
     u, v, w = 1 - x, 1 - y, 1 - z
     order = [u * v * z, u * y * w, u * y * z, x * v * w, x * v * z, x * v * z, x * y * w, x * y * z]
-    strides = torch.tensor([side * side, side, 1], device=sdf.device)
-    corners = torch.cartesian_prod(*[torch.arange(2, device=sdf.device)] * 3)
-    nodes = (base.long() @ strides)[:, None] + corners @ strides
+    # sums of products written out: CUDA has no product of integer matrices
+    i, j, k = base.long().unbind(-1)
+    corner = torch.arange(8, device=sdf.device)
+    ahead = (corner // 4 * side + corner // 2 % 2) * side + corner % 2
+    nodes = ((i * side + j) * side + k)[:, None] + ahead
     return (sdf.flatten()[nodes] * torch.stack(order, -1)).sum(-1)
 
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from method_adapters._networks.heads import CategoryMlp, at_pixels, first_layer, pointwise
-from method_adapters._networks.pointnet2 import PointNet2
+from method_adapters._networks.pointnet2 import PointNet2, of_two_clouds
 from method_adapters._networks.pspnet import BottleneckPSPNet
 from pytest_cpas.adapting import tap
 
@@ -144,11 +144,9 @@ class DpdnNet(nn.Module):
         centre = points.mean(1, keepdim=True)
         points = tap("network.centred", points - centre)
         colour = at_pixels(self.rgb_extractor(image), choose)
-        local = self.pts_extractor(points)
+        local, of_prior = of_two_clouds((self.pts_extractor, self.prior_extractor), (points, prior))
         deformer, estimator = self.posenet.deformer, self.posenet.estimator
-        attention, attended, shape, coordinates = deformer(
-            local, colour, self.prior_extractor(prior), category
-        )
+        attention, attended, shape, coordinates = deformer(local, colour, of_prior, category)
         stacked = [
             colour,
             estimator.pts_mlp1(points.mT),

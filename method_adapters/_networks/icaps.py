@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from method_adapters._networks.pointnet2 import SetAbstraction, gather, sampled_levels
+from method_adapters._networks.pointnet2 import Sampling, SetAbstraction, gather, tap_samples
 
 #: Side of a depth crop, pixels, and length of its code.
 CROP_SIDE, CODE_SIZE = 128, 128
@@ -87,7 +87,7 @@ class LatentNet(nn.Module):
     were sampled.
     """
 
-    LEVELS = (4096, 1024, 256, 64)
+    SAMPLING = Sampling((4096, 1024, 256, 64), max_threads=1024)
     RADII = ((0.1, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 4.0))
     SAMPLES = (16, 32)
     WIDTHS = (
@@ -106,7 +106,7 @@ class LatentNet(nn.Module):
             self.SA_modules.append(SetAbstraction(radii, self.SAMPLES, full, "bn"))
             before = sum(mlp[-1] for mlp in mlps)
         hidden = nn.Sequential()
-        hidden.add_module("fc", nn.Linear(before * self.LEVELS[-1], 512, bias=False))
+        hidden.add_module("fc", nn.Linear(before * self.SAMPLING.counts[-1], 512, bias=False))
         norm = nn.Sequential()
         norm.add_module("bn", nn.BatchNorm1d(512))
         hidden.add_module("bn", norm)
@@ -115,14 +115,12 @@ class LatentNet(nn.Module):
         last.add_module("fc", nn.Linear(512, LATENT_SIZE))
         self.cls_layer = nn.Sequential(hidden, nn.Dropout(0.5), last)
 
-    def samples(self, xyz: Tensor) -> list[Tensor]:
-        """Per level the indices (B, M) of its points among those of the level before."""
-        return sampled_levels(xyz, self.LEVELS, max_threads=1024)
-
     def forward(self, xyz: Tensor) -> tuple[Tensor]:
         """Points (B, 4873, 3), ShapeNet axes, centred, over the box's diagonal, to (B, 256)."""
         features: Any = None  # the finest level has none of its own
-        for module, index in zip(self.SA_modules, self.samples(xyz), strict=True):
+        samples = self.SAMPLING.levels(xyz)
+        tap_samples(samples)
+        for module, index in zip(self.SA_modules, samples, strict=True):
             centres = gather(xyz.mT, index).mT
             features = module(xyz, features, centres)
             xyz = centres

@@ -3,37 +3,44 @@ DPDN.
 
 The operators return the indices that the CUDA kernels of the published codes return, ties
 included. Clouds are (B, N, 3) float32, features (B, C, N).
+
+On a GPU they look at no value on the host, and their launches, which are many, can be captured.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from method_adapters._networks.graphs import queued
 from pytest_cpas.adapting import tap
 
 #: Clouds up to this size are sampled with a table of all their distances, which is faster.
 TABLE_POINTS = 5000
-#: Distances that are computed together, so that they stay in the cache.
-CACHED = 1 << 17
+#: Distances that are computed together, so that they stay in the cache; and on a GPU, so that they
+#: leave room in its memory.
+CACHED, QUEUED = 1 << 17, 1 << 28
 
 
 def squared_distances(a: Tensor, b: Tensor) -> Tensor:
     """Squared distances (B, M, N) of (B, M, 3) and (B, N, 3), summed in the kernels' order."""
     table = a.new_empty((len(a), a.shape[1], b.shape[1]))
-    rows = max(1, CACHED // b.shape[1])
+    rows = max(1, QUEUED // (len(b) * b.shape[1]) if queued(b) else CACHED // b.shape[1])
     for centres, part in zip(a.split(rows, 1), table.split(rows, 1), strict=True):
         x, y, z = (centres[:, :, None, axis] - b[:, None, :, axis] for axis in range(3))
         torch.add(x.square_().add_(y.square_()), z.square_(), out=part)
     return table
 
 
-def tie_order(n: int, max_threads: int) -> Tensor:
+@functools.cache
+@torch.inference_mode(False)  # kept, whoever comes first
+def tie_order(n: int, max_threads: int, device: torch.device) -> Tensor:
     """The indices 0..n-1 in the order in which the kernels prefer equally far points.
 
     Thread t of min(2^floor(log2 n), ``max_threads``) sees the points t, t + threads, ... and keeps
@@ -44,7 +51,7 @@ def tie_order(n: int, max_threads: int) -> Tensor:
     index = np.arange(n)
     thread = index % (1 << bits)
     reverse = sum(((thread >> bit) & 1) << (bits - 1 - bit) for bit in range(bits))
-    return torch.from_numpy(np.lexsort((index, np.broadcast_to(reverse, n))))
+    return torch.from_numpy(np.lexsort((index, np.broadcast_to(reverse, n)))).to(device)
 
 
 def farthest_points(
@@ -57,7 +64,7 @@ def farthest_points(
     kernel has 1e-3). Takes 4 B N^2 bytes for up to ``TABLE_POINTS`` points.
     """
     batch, n, _ = xyz.shape
-    order = tie_order(n, max_threads).to(xyz.device)
+    order = tie_order(n, max_threads, xyz.device)
     ordered = xyz[:, order]
     # the first maximum is the one that the kernels prefer, once the points stand in their order
     table = squared_distances(ordered, ordered).flatten(0, 1) if n <= TABLE_POINTS else None
@@ -69,35 +76,43 @@ def farthest_points(
     first_rows = n * torch.arange(batch, device=xyz.device)
     last_rows, to_last = first_rows.clone(), torch.empty_like(running)
     chosen = torch.zeros((count, batch), dtype=torch.int64, device=xyz.device)
-    for place in chosen[1:].unbind(0):
+    for last, place in pairwise(chosen.unbind(0)):
+        if batch > 1:
+            torch.add(last, first_rows, out=last_rows)
+        else:
+            last_rows = last
         if table is None:
-            last = ordered.flatten(0, 1)[last_rows][:, None]
-            to_last = squared_distances(last, ordered)[:, 0]
+            near_to = ordered.flatten(0, 1).index_select(0, last_rows)[:, None]
+            to_last = squared_distances(near_to, ordered)[:, 0]
         else:
             torch.index_select(table, 0, last_rows, out=to_last)
         torch.minimum(running, to_last, out=running)
         torch.argmax(running, dim=1, out=place)
-        torch.add(place, first_rows, out=last_rows)
     return order[chosen.T]
 
 
-def sampled_levels(
-    xyz: Tensor,
-    counts: Sequence[int],
-    *,
-    max_threads: int,
-    skip_radius_squared: float | None = None,
-) -> list[Tensor]:
-    """Farthest points of farthest points: per level the indices (B, M) of its points among those
-    of the level before, the first among ``xyz`` (B, N, 3)."""
-    indices = []
-    for count in counts:
-        index = farthest_points(
-            xyz, count, max_threads=max_threads, skip_radius_squared=skip_radius_squared
-        )
-        indices.append(tap("network.sampled", index))
-        xyz = gather(xyz.mT, index).mT
-    return indices
+class Sampling(NamedTuple):
+    """Farthest points of farthest points, ``counts`` of each level; see :func:`farthest_points`."""
+
+    counts: tuple[int, ...]
+    max_threads: int
+    skip_radius_squared: float | None = None
+
+    def levels(self, xyz: Tensor) -> list[Tensor]:
+        """Per level the indices (B, M) of its points among those of the level before, the first
+        among ``xyz`` (B, N, 3)."""
+        indices = []
+        for count in self.counts:
+            indices.append(
+                farthest_points(
+                    xyz,
+                    count,
+                    max_threads=self.max_threads,
+                    skip_radius_squared=self.skip_radius_squared,
+                )
+            )
+            xyz = gather(xyz.mT, indices[-1]).mT
+        return indices
 
 
 def ball_query(distances: Tensor, radius: float, count: int) -> Tensor:
@@ -109,6 +124,23 @@ def ball_query(distances: Tensor, radius: float, count: int) -> Tensor:
     limit = float(np.float32(radius) * np.float32(radius))
     batch, m, n = distances.shape
     rows = distances.reshape(-1, n)
+    found, hits = (_first_at_once if queued(rows) else _first)(rows, limit, count)
+    filled = torch.arange(count, device=rows.device) < hits[:, None]
+    return torch.where(filled, found, found[:, :1]).view(batch, m, count)
+
+
+def _first_at_once(rows: Tensor, limit: float, count: int) -> tuple[Tensor, Tensor]:
+    """Of every row the first ``count`` columns below a limit, 0 where there are fewer, and how many
+    there are; all columns are counted."""
+    found_until = (rows < limit).cumsum(1, dtype=torch.int32)
+    wanted = torch.arange(1, count + 1, dtype=torch.int32, device=rows.device)
+    column = torch.searchsorted(found_until, wanted.expand(len(rows), -1).contiguous())
+    return torch.where(column < rows.shape[1], column, 0), found_until[:, -1]
+
+
+def _first(rows: Tensor, limit: float, count: int) -> tuple[Tensor, Tensor]:
+    """The same, but a row is done with when it has enough."""
+    n = rows.shape[1]
     # one place more than asked for takes what comes too late
     found = torch.zeros((len(rows), count + 1), dtype=torch.int64, device=rows.device)
     hits = torch.zeros(len(rows), dtype=torch.int64, device=rows.device)
@@ -125,9 +157,7 @@ def ball_query(distances: Tensor, radius: float, count: int) -> Tensor:
         hits[open_rows] += new
         open_rows = open_rows[hits[open_rows] < count]
         begin, width = begin + width, 2 * width
-    found = found[:, :count]
-    filled = torch.arange(count, device=rows.device) < hits[:, None]
-    return torch.where(filled, found, found[:, :1]).view(batch, m, count)
+    return found[:, :count], hits
 
 
 def three_nearest(unknown: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
@@ -220,6 +250,12 @@ class FeaturePropagation(nn.Module):
         return propagated
 
 
+def tap_samples(samples: Sequence[Tensor]) -> None:
+    """Level by level."""
+    for index in samples:
+        tap("network.sampled", index)
+
+
 class PointNet2(nn.Module):
     """The multi-scale encoder of SGPA and DPDN: (B, N, 3) to per-point features (B, C, N).
 
@@ -241,7 +277,7 @@ class PointNet2(nn.Module):
         skip_radius_squared: float | None = None,
     ) -> None:
         super().__init__()
-        self.max_threads, self.skip_radius_squared = max_threads, skip_radius_squared
+        self.sampling = Sampling(self.LEVELS, max_threads, skip_radius_squared)
         self.SA_modules = nn.ModuleList()
         widths = [0]  # of the features of every level
         for level_radii, mlps in zip(radii, abstraction, strict=True):
@@ -254,20 +290,12 @@ class PointNet2(nn.Module):
             for level, mlp in enumerate(propagation)
         )
 
-    def samples(self, xyz: Tensor) -> list[Tensor]:
-        """Per level the indices (B, M) of its points among those of the level before."""
-        return sampled_levels(
-            xyz,
-            self.LEVELS,
-            max_threads=self.max_threads,
-            skip_radius_squared=self.skip_radius_squared,
-        )
-
-    def forward(self, xyz: Tensor) -> Tensor:
-        """See the class."""
+    def forward(self, xyz: Tensor, samples: Sequence[Tensor]) -> Tensor:
+        """Points (B, N, 3) and what ``sampling`` gives for them to features (B, C, N)."""
+        tap_samples(samples)
         clouds: list[Tensor] = [xyz]
         features: list[Any] = [None]  # the finest level has none of its own
-        for module, index in zip(self.SA_modules, self.samples(xyz), strict=True):
+        for module, index in zip(self.SA_modules, samples, strict=True):
             clouds.append(gather(clouds[-1].mT, index).mT)
             features.append(module(clouds[-2], features[-1], clouds[-1]))
         for level in reversed(range(len(self.FP_modules))):
@@ -276,3 +304,16 @@ class PointNet2(nn.Module):
             )
         finest: Tensor = features[0]
         return finest
+
+
+def of_two_clouds(
+    encoders: tuple[PointNet2, PointNet2], clouds: tuple[Tensor, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """The features of two clouds (B, N, 3), of an encoder each that samples as the other does: both
+    are sampled together, for it takes many small steps."""
+    samples = encoders[0].sampling.levels(torch.cat(clouds))
+    halves = zip(*(index.chunk(2) for index in samples), strict=True)
+    first, second = (
+        encoder(cloud, half) for encoder, cloud, half in zip(encoders, clouds, halves, strict=True)
+    )
+    return first, second

@@ -69,7 +69,9 @@ class Encoder(nn.Module):
         fewest, x = at_points(fewer, kept_again), near.pooled(x3, kept_again)
         x4 = self.conv_4(_neighbourhood(fewest), x)
         to_fewer, to_fewest = nearest(xyz, fewer), nearest(xyz, fewest)
-        one_hot = F.one_hot(category, CATEGORY_COUNT)[:, None].expand(-1, xyz.shape[1], -1)
+        # torch's own looks whether every category is one
+        one_hot = category[:, None] == torch.arange(CATEGORY_COUNT, device=category.device)
+        one_hot = one_hot[:, None].expand(-1, xyz.shape[1], -1)
         features = [x0, x1, at_points(x2, to_fewer), at_points(x3, to_fewer)]
         features += [at_points(x4, to_fewest), one_hot.to(xyz.dtype)]
         return torch.cat(features, 2), x4.amax(1)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from method_adapters._networks.attention import MultiHeadAttention
 from method_adapters._networks.heads import CategoryMlp, at_pixels, pointwise
-from method_adapters._networks.pointnet2 import PointNet2
+from method_adapters._networks.pointnet2 import PointNet2, of_two_clouds
 from method_adapters._networks.pspnet import PSPNet
 
 PRIOR_POINTS = 1024
@@ -78,11 +78,12 @@ class SgpaNet(nn.Module):
     ) -> SgpaOutput:
         """As :meth:`method_adapters._networks.spd.SpdNet.forward`."""
         colour = self.instance_color(at_pixels(self.psp(image), choose))
-        geometry = self.instance_geometry(points)
+        geometry, local = of_two_clouds(
+            (self.instance_geometry, self.category_local), (points, prior)
+        )
         instance = torch.cat([geometry, colour], 1)
         share = self.conv1d_stpts_prob(instance)
         instance_global = self.instance_global(instance)
-        local = self.category_local(prior)
         adapted = self.prior_enricher(local, (share @ geometry.mT).mT, (share @ colour.mT).mT)
         local = torch.cat([local, adapted], 1)
         category_global = self.category_global(local)

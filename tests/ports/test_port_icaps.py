@@ -52,7 +52,9 @@ def test_every_output_of_the_original(shared_ports):
             "output__sdf": loaded["icaps_deepsdf"](given["deepsdf_latent"], given["deepsdf_query"]),
         }
     assert parity.compare(seen, data) == 4
-    for level, index in enumerate(loaded["icaps_latentnet"].samples(given["latentnet_points"])):
+    for level, index in enumerate(
+        loaded["icaps_latentnet"].SAMPLING.levels(given["latentnet_points"])
+    ):
         np.testing.assert_array_equal(index, data[f"aux__fps_latentnet_{level}"])
     assert level == 3
     # the same distances with the code's share computed once

@@ -67,7 +67,7 @@ def test_samples_of_every_level(shared_ports, name, cloud):
     if name == "dpdn" and cloud != "prior":
         xyz = xyz - xyz.mean(1, keepdim=True)
     encoder = cases.METHODS[name].network().get_submodule(path)
-    for level, ours in enumerate(encoder.samples(xyz)):
+    for level, ours in enumerate(encoder.sampling.levels(xyz)):
         np.testing.assert_array_equal(ours.numpy(), data[f"aux__fps_{cloud}_{level}"])
     assert level == 3
 

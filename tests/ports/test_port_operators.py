@@ -145,12 +145,12 @@ FAULTS = {
     "first maximum in memory order": (
         check_farthest_points,
         "tie_order",
-        lambda n, max_threads: torch.arange(n),
+        lambda n, max_threads, device: torch.arange(n),
     ),
     "tree of twice as many threads": (
         check_farthest_points,
         "tie_order",
-        lambda n, max_threads: tie_order(n, 2 * max_threads),
+        lambda n, max_threads, device: tie_order(n, 2 * max_threads, device),
     ),
     "points near the origin are candidates": (
         check_farthest_points,
