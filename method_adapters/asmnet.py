@@ -7,6 +7,7 @@ onto the visible points.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -97,21 +98,28 @@ class AsmNet(Needy):
             self._models[category] = read_shape_model(model.locate(assets))
 
     def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:
-        """One prediction per observation."""
-        return [self._predict(observation, seed) for observation in batch]
-
-    def _predict(self, observation: Observation, seed: int) -> Prediction:
-        try:
-            with stage("pre-processing"):
-                inputs = tap("input", self.prepare(observation, np.random.default_rng(seed)))
+        """One prediction per observation; those of a category go through its network together."""
+        predictions: dict[int, Prediction] = {}
+        inputs: dict[int, Inputs] = {}
+        alike: dict[str, list[int]] = defaultdict(list)
+        with stage("pre-processing"):
+            for i, seen in enumerate(batch):
+                try:
+                    inputs[i] = tap("input", self.prepare(seen, np.random.default_rng(seed)))
+                    alike[seen.category].append(i)
+                except NoAnswerError as error:
+                    predictions[i] = Prediction.failed(str(error))
+        for category, group in alike.items():
             with stage("network"):
-                shape, quaternion = self._run[observation.category](inputs.points[None])
-            model = self._models[observation.category]
+                outputs = self._run[category](np.stack([inputs[i].points for i in group]))
             with stage("post-processing"):
-                found = interpret(inputs, model, shape[0], quaternion[0])
-        except NoAnswerError as error:
-            return Prediction.failed(str(error))
-        return Prediction((found,))
+                for i, shape, quaternion in zip(group, *outputs, strict=True):
+                    try:
+                        found = interpret(inputs[i], self._models[category], shape, quaternion)
+                        predictions[i] = Prediction((found,))
+                    except NoAnswerError as error:
+                        predictions[i] = Prediction.failed(str(error))
+        return [predictions[i] for i in range(len(batch))]
 
     def prepare(self, observation: Observation, generator: np.random.Generator) -> Inputs:
         """What the network sees of an observation; raises :class:`NoAnswerError`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from method_adapters._assets import MEAN_SHAPES, NOCS_TERMS
 from method_adapters._crop import POINT_COUNT, NoAnswerError
 from method_adapters._declaration import port_info
-from method_adapters._depth_filling import fill_depth
 from method_adapters._network_method import Array
 from method_adapters._prior_method import Inputs, PriorMethod, prior_offset
 from pytest_cpas.adapting import Asset, Hypothesis, Observation
@@ -37,6 +37,13 @@ class Dpdn(PriorMethod):
     # ImageNet's classifier
     unused = ("rgb_extractor.model.feats.fc.",)
 
+    _device = "cpu"
+
+    def load(self, assets: Path | None, device: str) -> None:
+        """As :meth:`PriorMethod.load`; depth is filled on the same device."""
+        super().load(assets, device)
+        self._device = device
+
     @staticmethod
     def network() -> nn.Module:
         """DPDN's network."""
@@ -50,7 +57,9 @@ class Dpdn(PriorMethod):
 
     def depth_of(self, observation: Observation) -> NDArray[np.float32]:
         """With its holes filled and smoothed, whole image."""
-        return fill_depth(observation.depth)
+        from method_adapters._depth_filling import fill_depth
+
+        return fill_depth(observation.depth, self._device)
 
     def essence(self, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> Sequence[Tensor]:
         """All but the attention."""

@@ -152,10 +152,11 @@ def difference(own: Value, theirs: Value) -> Difference:
         problem = f"{np.ravel(a)[worst]:g} at {list(at)}, the reference has {np.ravel(b)[worst]:g}"
         return Difference(**told, word="PARTS", relative=math.inf, at=at, problem=problem)
     finite = np.where(same, 0, b) if not np.isfinite(b).all() else b
-    relative = _share(float(np.linalg.norm(apart)), float(np.linalg.norm(finite)))
-    spread = float(np.linalg.norm(finite - finite.mean()))
-    # of a single number nothing is left
-    without = _share(float(np.linalg.norm(apart)), spread) if a.size > 1 else 0.0
+    norm, spread = (float(np.linalg.norm(x)) for x in (finite, finite - finite.mean()))
+    relative = _share(float(np.linalg.norm(apart)), norm)
+    # of a single number, or of one that is repeated, nothing is left but its rounding
+    constant = spread <= np.finfo(np.float32).eps * norm
+    without = 0.0 if constant else _share(float(np.linalg.norm(apart)), spread)
     allowed = allowed_of(theirs)
     noisy = relative <= allowed and without <= WITHOUT_MEAN * allowed
     return Difference(
