@@ -13,11 +13,12 @@ import math
 import random
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
+import corner_faults
 import fault_parts as part
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,25 +32,28 @@ from pytest_cpas.types import ContractError, Symmetry
 
 @dataclass(frozen=True)
 class Fault:
-    """``make`` takes our function and gives the faulty one; ``definition`` is declared wrongly."""
+    """``make`` takes our function and gives the faulty one; ``definition``: what it declares."""
 
     metric: str
     name: str
     make: Callable[[Callable[..., Any]], Callable[..., Any]]
+    definition: Mapping[str, Any]
 
     def subject(self) -> Subject:
         from pytest_cpas.checks.metrics.adapter import Offer
 
         right = METRICS[self.metric]
-        wrong = Offer(self.make(right.function), right.definition)
+        wrong = Offer(self.make(right.function), {**right.definition, **self.definition})
         return Subject("faulty", {**METRICS, self.metric: wrong})
 
 
 FAULTS: list[Fault] = []
 
 
-def fault(metric: str, name: str, make: Callable[[Callable[..., Any]], Any]) -> None:
-    FAULTS.append(Fault(metric, name, make))
+def fault(
+    metric: str, name: str, make: Callable[[Callable[..., Any]], Any], **definition: Any
+) -> None:
+    FAULTS.append(Fault(metric, name, make, definition))
 
 
 def scaled(factor: float) -> Callable[..., Any]:
@@ -814,6 +818,8 @@ fault(
     ),
 )
 
+
+corner_faults.plant(fault)
 
 # -- every metric ------------------------------------------------------------------------------
 

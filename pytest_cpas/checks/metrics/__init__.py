@@ -21,9 +21,17 @@ from pytest_cpas.checks.metrics.subject import Subject
 from pytest_cpas.checks.metrics import rotations as _rotations  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import boxes as _boxes  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import symmetric_boxes as _turned  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import box_corners as _box_corners  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import groups as _groups  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import upright_boxes as _upright  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import surfaces as _surfaces  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import large_surfaces as _large  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import precision as _precision  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import special_values as _special  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import areas as _areas  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import verdicts as _verdicts  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import average_precision as _average  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import detections as _detections  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import conduct as _conduct  # isort: skip  # noqa: F401
 
 __all__ = [

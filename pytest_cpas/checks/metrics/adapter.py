@@ -115,8 +115,9 @@ KNOWN: Mapping[str, Known] = MappingProxyType(
         "nad": Known("true points, estimated points", choices={"normaliser": ("own", "truth")}),
         "diameter": Known("points"),
         "precision": Known(
-            "errors (mapping of names to (N,) arrays: rotation_deg, position_m, iou, fscore, nad),"
-            " limits (mapping of such names to numbers)",
+            "errors (mapping of names to (N,) arrays: rotation_deg, position_m, iou, fscore, nad;"
+            " infinite without an answer, minus infinite of iou and fscore; None where n/a), limits"
+            " (mapping of such names to numbers)",
             gives="number or None",
             choices={"boundary": ("inclusive", "strict")} | _PERCENT,
         ),
@@ -126,10 +127,13 @@ KNOWN: Mapping[str, Known] = MappingProxyType(
             choices=_PERCENT,
         ),
         "iou_auc": Known(
-            "IoUs (N,), lower threshold", choices={"bins": (None, 10, 100)} | _PERCENT
+            "IoUs (N,), lower threshold",
+            gives="number or None",
+            choices={"bins": (None, 10, 100)} | _PERCENT,
         ),
         "pose_vus": Known(
             "degrees (N,), metres (N,), largest degrees, largest metres",
+            gives="number or None",
             choices={"bins": (None, 10, 100)} | _PERCENT,
         ),
         "pose_correct": Known(

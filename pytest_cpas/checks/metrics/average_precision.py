@@ -1,21 +1,22 @@
-"""Properties of average precision: of a ranking, and of detections with their matching."""
+"""Properties of the average precision of a ranking."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 
 from pytest_cpas.checks.metrics import exact
-from pytest_cpas.checks.metrics.properties import close, expect, prop
+from pytest_cpas.checks.metrics.properties import REFUSED, close, expect, prop, unless_refused
 from pytest_cpas.checks.metrics.strategies import seeds
 from pytest_cpas.checks.metrics.subject import Subject
 
 FINE = 1e-6
 AP = "average_precision"
-DETECTION = "detection_ap"
 
 
 @st.composite
@@ -103,126 +104,102 @@ def missed_truths_count(subject: Subject, ranking: list[Any]) -> None:
     close(2 * _ap(subject, scores, correct, 2 * truths), _ap(subject, *ranking), FINE)
 
 
-# -- detections --------------------------------------------------------------------------------
+def _all_short() -> Iterator[dict[str, Any]]:
+    """Every ranking of up to five, with every number of truths that are missed, up to two."""
+    for count in range(1, 6):
+        scores = [(count - rank) / 16 for rank in range(count)]
+        for correct in itertools.product((False, True), repeat=count):
+            for missed in (0, 1, 2):
+                if truths := sum(correct) + missed:
+                    yield {"ranking": [scores, list(correct), truths]}
 
 
-@st.composite
-def scenes(draw: st.DrawFn) -> list[Any]:
-    """Images with ground truths of two categories and predictions, all with distinct scores.
-
-    [images, categories of predictions, images, categories of ground truths, IoU, score order].
-    """
-    true = draw(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 1)), min_size=1, max_size=5))
-    pred = draw(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 1)), min_size=1, max_size=6))
-    iou = [[draw(st.integers(0, 9)) / 10 for _ in true] for _ in pred]
-    order = draw(st.permutations(range(len(pred))))
-    return [
-        [p[0] for p in pred], [p[1] for p in pred],
-        [t[0] for t in true], [t[1] for t in true], iou, list(order),
-    ]  # fmt: skip
+@prop(AP, reason="what a rule makes of a wrong one between two right ones, or of the last one, "
+      "shows in few rankings", given={"ranking": rankings()}, weight=0.25,
+      corners=_all_short)  # fmt: skip
+def short_rankings(subject: Subject, ranking: list[Any]) -> None:
+    """All short rankings have the area under their precision-recall curve."""
+    by_definition(subject, ranking)
 
 
-def _detect(subject: Subject, scene: list[Any], threshold: float, category: int) -> Any:
-    pred_images, pred_categories, true_images, true_categories, iou, order = scene
-    scores = (np.array(order, dtype=float) + 1) / 16
-    arrays = (np.array(pred_images), np.array(pred_categories), scores)
-    truths = (np.array(true_images), np.array(true_categories))
-    return subject(DETECTION, *arrays, *truths, np.array(iou, dtype=float), threshold, category)
+#: Monotone changes of scores from 0 to 1.
+SCALES: dict[str, Any] = {
+    "negative": lambda s: s - 2,
+    "around zero": lambda s: s - 0.3,
+    "tiny": lambda s: s * 1e-30,
+    "near one": lambda s: 1 - (1 - s) * 2.0**-45,
+    "large": lambda s: 1e6 + 1e3 * s,
+    "logarithms": lambda s: math.log(s) * 40,
+    "beyond one": lambda s: 100 * s,
+}
 
 
-def _same(value: Any, expected: Any) -> None:
-    if value is None or expected is None:
-        expect(value is expected, f"the AP is {value!r}, expected {expected!r}")
-    else:
-        close(value, expected, FINE, "the AP")
+@prop(AP, reason="scores may be logits, distances with a minus, or probabilities near 0 or 1: no "
+      "threshold, no rounding and no sign has a say",
+      given={"ranking": rankings(), "scale": st.sampled_from(sorted(SCALES))}, weight=0.5,
+      corners=lambda: (
+          {"ranking": [[5 / 16, 4 / 16, 3 / 16, 2 / 16, 1 / 16], [True, False, True, False, True],
+                       4], "scale": scale}
+          for scale in SCALES
+      ))  # fmt: skip
+def any_scores(subject: Subject, ranking: list[Any], scale: str) -> None:
+    """Negative, tiny, large and nearly equal scores rank as others do."""
+    scores, correct, truths = ranking
+    by_definition(subject, [[SCALES[scale](s) for s in scores], correct, truths])
 
 
-def _by_hand(scene: list[Any], threshold: float, category: int, strict: bool) -> float | None:
-    """Greedy matching, written down once more; None if two fits are equally good."""
-    pred_images, pred_categories, true_images, true_categories, iou, order = scene
-    free = {g for g, name in enumerate(true_categories) if name == category}
-    truths = len(free)
-    scores, correct = [], []
-    for p in sorted(range(len(order)), key=lambda p: -order[p]):
-        if pred_categories[p] != category:
-            continue
-        fits = [
-            (iou[p][g], g)
-            for g in free
-            if true_images[g] == pred_images[p]
-            and (iou[p][g] > threshold or (iou[p][g] == threshold and not strict))
-        ]
-        if len({fit for fit, _ in fits}) < len(fits):
-            return None
-        scores.append(order[p])
-        correct.append(bool(fits))
-        if fits:
-            free.remove(max(fits)[1])
-    return exact.average_precision(scores, correct, truths, interpolated=True)
-
-
-@prop(DETECTION, reason="an independent, plain matching: best score first, each ground truth once, "
-      "within image and category",
-      given={"scene": scenes(), "threshold": st.sampled_from([0.25, 0.5])}, weight=2)  # fmt: skip
-def matched_by_hand(subject: Subject, scene: list[Any], threshold: float) -> None:
-    """It is the area for the greedy matching by descending score."""
-    if 0 not in scene[3]:
-        return
-    strict = subject.defines(DETECTION, "boundary") == "strict"
-    expected = _by_hand(scene, threshold, 0, strict)
-    if expected is not None:
-        _same(_detect(subject, scene, threshold, 0), expected)
-
-
-@prop(DETECTION, reason="ground truth as prediction is perfect", given={"scene": scenes()},
-      weight=0.5)  # fmt: skip
-def perfect(subject: Subject, scene: list[Any]) -> None:
-    """Ground truth as prediction has AP 1."""
-    if 0 in scene[3]:
-        count = len(scene[3])
-        iou = np.eye(count).tolist()
-        same = [scene[2], scene[3], scene[2], scene[3], iou, list(range(count))]
-        _same(_detect(subject, same, 0.5, 0), 1)
-
-
-@prop(DETECTION, reason="a category without ground truth has no recall; as 0 it lowers the mean",
-      given={"scene": scenes()}, weight=0.5)  # fmt: skip
-def absent_category(subject: Subject, scene: list[Any]) -> None:
-    """A category without ground truth is n/a (None)."""
-    _same(_detect(subject, scene, 0.5, 7), None)
-
-
-@prop(DETECTION, reason="an IoU that equals the threshold is common: 0.5 of a half box",
-      given={"threshold": st.sampled_from([0.25, 0.5, 0.75])}, weight=0.25)  # fmt: skip
-def boundary(subject: Subject, threshold: float) -> None:
-    """An IoU on the threshold matches as the definition says."""
-    inclusive = subject.defines(DETECTION, "boundary") == "inclusive"
-    scene = [[0], [0], [0], [0], [[threshold]], [0]]
-    _same(_detect(subject, scene, threshold, 0), float(inclusive))
-
-
-@prop(DETECTION, reason="the file's order of predictions and ground truths means nothing",
-      given={"scene": scenes(), "seed": seeds})  # fmt: skip
-def order_of_the_input(subject: Subject, scene: list[Any], seed: int) -> None:
-    """Without ties the order of predictions and ground truths changes nothing."""
-    if 0 not in scene[3] or _by_hand(scene, 0.3, 0, True) is None:
-        return
+@prop(AP, reason="evaluations of images keep the best 100 of each; a category has more",
+      given={"seed": seeds, "count": st.sampled_from([101, 150, 300])}, weight=0.1,
+      corners=lambda: (
+          {"seed": seed, "count": count} for seed, count in ((0, 101), (1, 260), (2, 1100))
+      ))  # fmt: skip
+def long_rankings(subject: Subject, seed: int, count: int) -> None:
+    """Long rankings have the area under their precision-recall curve, to the last detection."""
     rng = np.random.default_rng(seed)
-    p, g = rng.permutation(len(scene[0])), rng.permutation(len(scene[2]))
-    mixed = [
-        np.array(scene[0])[p], np.array(scene[1])[p], np.array(scene[2])[g],
-        np.array(scene[3])[g], np.array(scene[4])[p][:, g], np.array(scene[5])[p],
-    ]  # fmt: skip
-    _same(_detect(subject, mixed, 0.3, 0), _detect(subject, scene, 0.3, 0))
+    correct = rng.random(count) < 0.3
+    # what is cut off at the end would be right
+    correct[: count // 20] = True
+    scores = (np.arange(count) + 1) / count
+    order = rng.permutation(count)
+    truths = int(correct.sum()) + 3
+    value = _ap(subject, scores[order], correct[order], truths)
+    interpolated = subject.defines(AP, "interpolated")
+    close(value, exact.average_precision(scores.tolist(), correct.tolist(), truths, interpolated),
+          FINE)  # fmt: skip
 
 
-@prop(DETECTION, reason="a second detection of one object is a false positive; counted again, "
-      "copies of one prediction raise the recall",
-      given={"copies": st.integers(2, 4), "missed": st.integers(1, 3)}, weight=0.25)  # fmt: skip
-def each_truth_once(subject: Subject, copies: int, missed: int) -> None:
-    """Many detections of one of several objects find one object."""
-    scene = [
-        [0] * copies, [0] * copies, [0] * (1 + missed), [0] * (1 + missed),
-        [[0.9] + [0.0] * missed] * copies, list(range(copies)),
-    ]  # fmt: skip
-    _same(_detect(subject, scene, 0.5, 0), 1 / (1 + missed))
+def _tied() -> Iterator[dict[str, Any]]:
+    for scores in ([1, 1], [1, 1, 1], [2, 1, 1], [2, 2, 1], [2, 2, 1, 1], [3, 2, 2, 1]):
+        for correct in itertools.product((False, True), repeat=len(scores)):
+            if any(correct):
+                yield {"ranking": [[s / 4 for s in scores], list(correct), sum(correct)]}
+
+
+@prop(AP, reason="of equal scores no order is known: more than the best one, or less than the "
+      "worst, no order gives", given={"ranking": rankings(ties=True)}, weight=0.5,
+      corners=_tied)  # fmt: skip
+def ties_within_their_orders(subject: Subject, ranking: list[Any]) -> None:
+    """With equal scores the AP lies between those of the worst and of the best order."""
+    scores, correct, truths = ranking
+    interpolated = subject.defines(AP, "interpolated")
+    low, high = (
+        exact.average_precision(
+            [s + sign * 1e-3 * c for s, c in zip(scores, correct, strict=True)], correct, truths,
+            interpolated,
+        )
+        for sign in (-1, 1)
+    )  # fmt: skip
+    value = _ap(subject, *ranking)
+    expect(
+        value is not None and low - FINE <= value <= high + FINE,
+        f"the AP is {value!r}, but the worst order gives {low!r} and the best {high!r}",
+    )
+
+
+@prop(AP, reason="an empty ranking finds nothing: that is neither NaN nor n/a",
+      given={"truths": st.integers(1, 5)}, weight=0.1)  # fmt: skip
+def nothing_detected(subject: Subject, truths: int) -> None:
+    """Without any detection the AP is 0, or an error."""
+    value = unless_refused(subject, AP, np.zeros(0), np.zeros(0, dtype=bool), truths)
+    if value is not REFUSED:
+        close(value, 0, FINE)

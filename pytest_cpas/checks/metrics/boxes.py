@@ -224,7 +224,7 @@ def exact_volume(
     offset: list[int],
 ) -> None:
     """The IoU agrees with exact rational arithmetic."""
-    _agrees_with_exact(subject, quaternions, first, second, [Fraction(o, 256) for o in offset])
+    agrees_with_exact(subject, quaternions, first, second, [Fraction(o, 256) for o in offset])
 
 
 @prop(
@@ -258,16 +258,17 @@ def nearly_coincident(
         w * s - x * p - y * q - z * r,
     ]
     shift = [Fraction(offset, s), Fraction(0), Fraction(0)]
-    _agrees_with_exact(subject, [quaternion, other], size, size, shift)
+    agrees_with_exact(subject, [quaternion, other], size, size, shift)
 
 
-def _agrees_with_exact(
+def agrees_with_exact(
     subject: Subject,
     quaternions: list[list[int]],
     first: list[int],
     second: list[int],
     offset: list[Fraction],
 ) -> None:
+    """Expect the IoU of boxes with sides in 256ths of a metre to be that of exact arithmetic."""
     sizes = [[Fraction(s, 256) for s in size] for size in (first, second)]
     centres = [[Fraction(0)] * 3, offset]
     exact = [

@@ -76,6 +76,37 @@ def _volume(rows: list[Row], dimension: int) -> Fraction:
     return total / dimension
 
 
+def rectangles_overlap(
+    first: Sequence[float], second: Sequence[float], shift: Sequence[float], angle: float
+) -> float:
+    """The area that two rectangles share, by clipping.
+
+    ``first`` and ``second``: their sides. The first has its centre at ``shift`` in the frame of the
+    second, and is turned by ``angle``.
+    """
+    cosine, sine = math.cos(angle), math.sin(angle)
+    ends = (first[0] / 2, first[1] / 2), (-first[0] / 2, -first[1] / 2)
+    polygon = [
+        (cosine * x - sine * y + shift[0], sine * x + cosine * y + shift[1])
+        for x, y in (
+            (ends[0][0], ends[0][1]), (ends[1][0], ends[0][1]),
+            (ends[1][0], ends[1][1]), (ends[0][0], ends[1][1]),
+        )
+    ]  # fmt: skip
+    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        kept = []
+        for p, q in zip(polygon, [*polygon[1:], *polygon[:1]], strict=True):
+            room, next_room = (second[axis] / 2 - sign * point[axis] for point in (p, q))
+            if room >= 0:
+                kept.append(p)
+            if (room >= 0) != (next_room >= 0):
+                share = room / (room - next_room)
+                kept.append((p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1])))
+        polygon = kept
+    pairs = zip(polygon, [*polygon[1:], *polygon[:1]], strict=True)
+    return abs(sum(p[0] * q[1] - p[1] * q[0] for p, q in pairs)) / 2
+
+
 def nearest(source: Array, target: Array) -> Array:
     """The distance of each point of ``source`` to the nearest of ``target``, by brute force."""
     return np.asarray(

@@ -100,6 +100,11 @@ def triangle_inequality(subject: Subject, a: Rows, b: Rows, c: Rows) -> None:
     PLAIN,
     reason="the definition, where it is known in closed form",
     given={"a": some.rotations, "axis": some.axes, "angle": some.angles},
+    corners=lambda: (
+        {"a": turned([1, 2, -4], 1.1).tolist(), "axis": axis, "angle": angle}
+        for axis in ([1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [-1, 2, 3])
+        for angle in (0.0, 1e-3, 0.4, math.pi / 2, 2.0, 2 * math.pi / 3, 3.0, math.pi)
+    ),
 )
 def one_axis(subject: Subject, a: Rows, axis: list[int], angle: float) -> None:
     """A turn by x about any one axis has error x."""
@@ -152,6 +157,25 @@ def reflection_rejected(subject: Subject, a: Rows, axis: int) -> None:
 def scale_rejected(subject: Subject, a: Rows, scale: float) -> None:
     """A matrix that is not orthonormal raises."""
     subject.refuses(PLAIN, scale * np.array(a), np.array(a))
+
+
+@prop(
+    PLAIN,
+    reason="who checks the estimate alone scores against a mirrored or scaled truth",
+    given={"a": some.rotations, "axis": st.integers(0, 2), "factor": st.sampled_from([-1.0, 1.1])},
+    weight=0.25,
+    applies=_matrix_only(PLAIN),
+    corners=lambda: (
+        {"a": np.eye(3).tolist(), "axis": axis, "factor": factor}
+        for axis in range(3)
+        for factor in (-1.0, 0.0, 0.9, 1.1)
+    ),
+)
+def bad_truth_rejected(subject: Subject, a: Rows, axis: int, factor: float) -> None:
+    """A true rotation of which one axis is mirrored or stretched raises."""
+    truth = np.array(a)
+    truth[:, axis] *= factor
+    subject.refuses(PLAIN, np.array(a), truth)
 
 
 # -- under a symmetry group --------------------------------------------------------------------

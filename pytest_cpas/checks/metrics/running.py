@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import math
@@ -9,7 +10,7 @@ import time
 import traceback
 import warnings
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,8 @@ def check(
     limit: float = DEFAULT_TIME_LIMIT,
     shrink: bool = True,
 ) -> Result:
-    """Search for a counterexample among ``examples`` examples (times the property's weight).
+    """Search for a counterexample: the property's corners, then ``examples`` examples (times its
+    weight).
 
     Deterministic in ``seed``. ``limit``: seconds. Without ``shrink`` the first counterexample is
     kept as it is.
@@ -100,6 +102,16 @@ def check(
         return Result(subject.name, prop.name, Outcome.NOT_OFFERED)
     found: list[tuple[Finding, str, str]] = []
     tried = 0
+
+    def attempt(case: Mapping[str, Any]) -> None:
+        nonlocal tried
+        tried += 1
+        try:
+            _try(subject, prop, case)
+        except Finding as finding:
+            message = str(finding)
+            found.append((finding, json.dumps(case), subject.snippet(message)))
+            raise
 
     @hypothesis.seed(zlib.crc32(f"{prop.name} {seed}".encode()))
     @settings(
@@ -114,20 +126,17 @@ def check(
     )
     @given(case=st.fixed_dictionaries(dict(prop.given)))
     def search(case: dict[str, Any]) -> None:
-        nonlocal tried
-        tried += 1
-        try:
-            _try(subject, prop, case)
-        except Finding as finding:
-            message = str(finding)
-            found.append((finding, json.dumps(case), subject.snippet(message)))
-            raise
+        attempt(case)
 
     start = time.perf_counter()
     broken = ""
     with time_limit(limit), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
+            # corners are small as they are: what they show is not made smaller
+            with _seeded():
+                for corner in prop.corners():
+                    attempt(corner)
             search()
         except Finding:
             pass
@@ -159,10 +168,8 @@ def replay(subject: Subject, prop: Property, case: str, *, limit: float = 60.0) 
         return Result(subject.name, prop.name, Outcome.NOT_OFFERED)
     start = time.perf_counter()
     outcome, message, snippet = Outcome.PASSED, "", ""
-    state = np.random.get_state()  # noqa: NPY002 - what foreign code draws must repeat
-    with time_limit(limit), warnings.catch_warnings():
+    with time_limit(limit), warnings.catch_warnings(), _seeded():
         warnings.simplefilter("ignore")
-        np.random.seed(0)  # noqa: NPY002 - as hypothesis does for each example
         try:
             _try(subject, prop, parse_json(Path("the recorded case"), case.encode()))
         except Finding as finding:
@@ -170,10 +177,19 @@ def replay(subject: Subject, prop: Property, case: str, *, limit: float = 60.0) 
             snippet = subject.snippet(message)
         except Exception:
             outcome, message = Outcome.HARNESS_ERROR, traceback.format_exc()
-        finally:
-            np.random.set_state(state)  # noqa: NPY002
     seconds = time.perf_counter() - start
     return Result(subject.name, prop.name, outcome, message, case, snippet, 1, seconds)
+
+
+@contextlib.contextmanager
+def _seeded() -> Iterator[None]:
+    """What foreign code draws from the global random state repeats, as in hypothesis' examples."""
+    state = np.random.get_state()  # noqa: NPY002
+    np.random.seed(0)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        np.random.set_state(state)  # noqa: NPY002
 
 
 def _try(subject: Subject, prop: Property, case: Mapping[str, Any]) -> None:
