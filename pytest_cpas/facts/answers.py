@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.metrics.boxes import of_unit_diagonal
 from pytest_cpas.metrics.model_points import ModelPoints
 from pytest_cpas.metrics.surfaces import Surface, SurfaceErrors, surface_errors
 from pytest_cpas.types import (
@@ -106,7 +107,11 @@ class AnswerBatch:
     @functools.cached_property
     def boxes_of_unit_diagonal(self) -> tuple[Boxes, Boxes]:
         """The same boxes, each scaled about the camera until its diagonal is 1."""
-        return _unit_diagonal(self.boxes[0]), _unit_diagonal(self.boxes[1])
+        (rotation, *estimated), (true_rotation, *true) = self.boxes
+        return (
+            (rotation, *of_unit_diagonal(*estimated)),
+            (true_rotation, *of_unit_diagonal(*true)),
+        )
 
     @functools.cached_property
     def surfaces(self) -> Sequence[SurfaceErrors | None]:
@@ -145,12 +150,6 @@ class AnswerBatch:
     def of_surfaces(self, fact: Callable[[SurfaceErrors], float]) -> Sequence[float | None]:
         """A fact of every pair of surfaces; None where there is none."""
         return [None if errors is None else float(fact(errors)) for errors in self.surfaces]
-
-
-def _unit_diagonal(boxes: Boxes) -> Boxes:
-    rotation, translation, extents = boxes
-    diagonal = np.linalg.norm(extents, axis=-1, keepdims=True)
-    return rotation, translation / diagonal, extents / diagonal
 
 
 def declared_part(value: Any, part: str) -> Any:

@@ -32,6 +32,7 @@ __all__ = [
     "expect_pairs",
     "iou_plus",
     "nocs_legacy_iou",
+    "of_unit_diagonal",
     "oriented_iou",
     "symmetric_iou",
 ]
@@ -112,6 +113,16 @@ def symmetric_iou(
             volume = largest_overlap(*turned, half_a, half_b, axis, tolerance)
         shared = np.maximum(shared, volume)
     return _ratio(shared, a[2], b[2]).reshape(shape)
+
+
+def of_unit_diagonal(translation: Array, extents: Array) -> tuple[Array, Array]:
+    """Boxes (..., 3) scaled about the camera until the diagonal of each is 1: both again.
+
+    What LaPose compares (Zhang et al. 2024): how large and how far an object is can then not be
+    told apart, as in a single colour image.
+    """
+    diagonal = np.linalg.norm(extents, axis=-1, keepdims=True)
+    return translation / diagonal, extents / diagonal
 
 
 def expect_pairs(pairs: int) -> None:

@@ -21,10 +21,11 @@ from typing import Any
 import corner_faults
 import fault_parts as part
 import numpy as np
+import other_faults
 from scipy.spatial.transform import Rotation
 
 from pytest_cpas import metrics as m
-from pytest_cpas.checks.metrics import KNOWN, PROPERTIES, Sample, Subject, check
+from pytest_cpas.checks.metrics import KNOWN, PROPERTIES, Sample, Subject, check, conduct
 from pytest_cpas.checks.outcome import Outcome
 from pytest_cpas.metric_subjects.cpas import METRICS
 from pytest_cpas.types import ContractError, Symmetry
@@ -820,6 +821,7 @@ fault(
 
 
 corner_faults.plant(fault)
+other_faults.plant(fault)
 
 # -- every metric ------------------------------------------------------------------------------
 
@@ -869,6 +871,8 @@ def changes_arguments(f: Callable[..., Any]) -> Callable[..., Any]:
             first.popitem()
         elif isinstance(first, Sample):
             first.points[0] += 1
+        elif isinstance(first, list):
+            first.pop()
         else:
             first += 1
         return value
@@ -899,6 +903,8 @@ def noisy(f: Callable[..., Any]) -> Callable[..., Any]:
         value = f(*args)
         if value is None:
             return None
+        if isinstance(value, (list, tuple)):
+            return [v + 1e-9 * rng.random() for v in value]
         if isinstance(value, (bool, np.bool_)):
             return bool(value) != (rng.random() < 0.5)
         return value + 1e-9 * rng.random()
@@ -907,12 +913,15 @@ def noisy(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 for _index, _metric in enumerate(KNOWN):
-    fault(_metric, "NaN scores 0", scores_nan)
-    if _metric != "iou_auc":  # of a list of numbers, no shape is wrong
+    if conduct.refuses_nan(_metric):
+        fault(_metric, "NaN scores 0", scores_nan)
+    if conduct.has_wrong_shapes(_metric):
         fault(_metric, "swallowed exceptions score 0", swallows)
     _marks = (changes_arguments, prints, draws)
     _words = ("changes its arguments", "prints", "draws from the global random state")
-    fault(_metric, _words[_index % 3], _marks[_index % 3])
+    # a number that is passed cannot be changed
+    _kind = 1 if _metric == "count_interval" else _index % 3
+    fault(_metric, _words[_kind], _marks[_kind])
     fault(_metric, "noise", noisy)
 fault(R, "returns an array", lambda f: lambda a, b: np.array([f(a, b)]))
 fault(C, "returns a string", lambda f: lambda a, b: f"{f(a, b):.6f}")

@@ -32,6 +32,10 @@ from pytest_cpas.checks.metrics import areas as _areas  # isort: skip  # noqa: F
 from pytest_cpas.checks.metrics import verdicts as _verdicts  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import average_precision as _average  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import detections as _detections  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import other_boxes as _others  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import counted as _counted  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import pose_detections as _poses  # isort: skip  # noqa: F401
+from pytest_cpas.checks.metrics import known_objects as _known  # isort: skip  # noqa: F401
 from pytest_cpas.checks.metrics import conduct as _conduct  # isort: skip  # noqa: F401
 
 __all__ = [

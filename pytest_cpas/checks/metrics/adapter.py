@@ -56,8 +56,9 @@ class Sample:
 class Known:
     """A metric that can be offered.
 
-    ``arguments``: what its function takes, in words. ``gives``: ``number``, ``number or None`` or
-    ``truth value``. ``choices``: the conventions that can be declared, the first being the default.
+    ``arguments``: what its function takes, in words. ``gives``: ``number``, ``numbers``, either
+    ``or None``, ``points`` or ``truth value``. ``choices``: the conventions that can be declared,
+    the first being the default.
     """
 
     arguments: str
@@ -90,6 +91,8 @@ _SYMMETRY: dict[str, tuple[Any, ...]] = {"symmetries": (_SYMMETRIES,)}
 _LENGTH: dict[str, tuple[Any, ...]] = {"length": ("m", "cm", "mm")}
 _PERCENT: dict[str, tuple[Any, ...]] = {"percent": (False, True)}
 
+_POSES = "estimated rotation and translation, true rotation and translation, points of the model"
+
 #: The metrics that the properties know. Points are (N, 3) arrays, everything in metres.
 KNOWN: Mapping[str, Known] = MappingProxyType(
     {
@@ -103,6 +106,30 @@ KNOWN: Mapping[str, Known] = MappingProxyType(
         "symmetric_box_iou": Known(
             "estimated box, true box, symmetry (pytest_cpas.types.Symmetry of the true object)",
             choices=_BOX | _SYMMETRY,
+        ),
+        "equal_diagonals_iou": Known(
+            "estimated box, true box; each scaled about the camera to a diagonal of 1, then their"
+            " IoU",
+            choices=_BOX,
+        ),
+        "relative_translation_error": Known(
+            "estimated box, true box; each scaled as in equal_diagonals_iou, then the distance of"
+            " their centres",
+            choices={"box": _BOX["box"]} | _ROTATION,
+        ),
+        "axis_aligned_iou": Known(
+            "estimated box, true box, spins: IoU of the boxes along the camera's axes around the"
+            " corners; the largest over so many turns of the estimate about its y axis",
+            choices=_BOX,
+        ),
+        "legacy_iou": Known(
+            "the same, with the extremes of each corner's coordinates, as NOCS' published code",
+            choices=_BOX,
+        ),
+        "iou_plus": Known(
+            "estimated points, true points (camera frame): IoU of the boxes along its axes around"
+            " them",
+            choices=_PERCENT,
         ),
         "average_distance": Known("points from, points to"),
         "chamfer": Known(
@@ -125,6 +152,36 @@ KNOWN: Mapping[str, Known] = MappingProxyType(
             "errors and limits as in precision, categories (N names), names (that are judged)",
             gives="number or None",
             choices=_PERCENT,
+        ),
+        "best_precision": Known(
+            "hypotheses (per sample a list of mappings of names to numbers, as in precision),"
+            " limits: a sample is correct if any of its hypotheses is",
+            gives="number or None",
+            choices=_PERCENT,
+        ),
+        "worst_precision": Known(
+            "the same: a sample is correct if all of its hypotheses are",
+            gives="number or None",
+            choices=_PERCENT,
+        ),
+        "precision_curve": Known(
+            "errors (N,), name of the error, thresholds (K,): the precision at each",
+            gives="numbers",
+            choices=_PERCENT,
+        ),
+        "count_interval": Known(
+            "correct, total, confidence: ends of the exact (Clopper-Pearson) interval",
+            gives="numbers",
+            choices=_PERCENT,
+        ),
+        "mean_interval": Known(
+            "values (N,), NaN where n/a, confidence: ends of Student's interval of the mean",
+            gives="numbers or None",
+        ),
+        "median_interval": Known(
+            "values (N,), NaN where n/a, confidence: ends of the interval of order statistics of"
+            " the median",
+            gives="numbers or None",
         ),
         "iou_auc": Known(
             "IoUs (N,), lower threshold",
@@ -150,6 +207,34 @@ KNOWN: Mapping[str, Known] = MappingProxyType(
             " truths (G,), IoU (P, G), threshold, category",
             gives="number or None",
             choices={"boundary": ("strict", "inclusive")} | _PERCENT,
+        ),
+        "mean_detection_ap": Known(
+            "as detection_ap, with a list of categories: mean over those with ground truth",
+            gives="number or None",
+            choices={"boundary": ("strict", "inclusive")} | _PERCENT,
+        ),
+        "pose_ap": Known(
+            "images, categories and scores of predictions (P,), images and categories of ground"
+            " truths (G,), degrees (P, G), metres (P, G), largest degrees, largest metres (both"
+            " inclusive), category; matched by degrees plus centimetres",
+            gives="number or None",
+            choices=_PERCENT,
+        ),
+        "matched_pose_ap": Known(
+            "the same, and IoU (P, G): only what is matched above IoU 0.1 takes part",
+            gives="number or None",
+            choices=_PERCENT,
+        ),
+        "sample_surface": Known(
+            "vertices (V, 3), triangles (T, 3), count, seed: points, uniform by area",
+            gives="points",
+        ),
+        "add": Known(_POSES, choices=_LENGTH),
+        "add_s": Known(_POSES, choices=_LENGTH),
+        "mssd": Known(f"{_POSES}, symmetry (pytest_cpas.types.Symmetry)", choices=_LENGTH),
+        "mspd": Known(
+            f"{_POSES}, symmetry, focal lengths and principal point (fx, fy, cx, cy), image width:"
+            " pixels of an image that is 640 wide"
         ),
     }
 )

@@ -34,6 +34,24 @@ def _clouds(rng: Generator) -> tuple[Any, Any]:
     return rng.normal(size=(7, 3)) / 10, rng.normal(size=(9, 3)) / 10
 
 
+def _ahead(rng: Generator) -> Box:
+    """A box in front of the camera."""
+    return Box(_turn(rng), [0, 0, 1] + rng.normal(size=3) / 20, rng.uniform(0.1, 0.3, 3))
+
+
+def _detected(rng: Generator) -> tuple[Any, ...]:
+    return (
+        np.zeros(4, dtype=int), np.zeros(4, dtype=int), rng.random(4),
+        np.zeros(3, dtype=int), np.zeros(3, dtype=int),
+        rng.uniform(0, 20, (4, 3)), rng.uniform(0, 0.1, (4, 3)),
+    )  # fmt: skip
+
+
+def _posed_points(rng: Generator) -> tuple[Any, ...]:
+    places = [[0, 0, 1] + rng.normal(size=3) / 20 for _ in range(2)]
+    return _turn(rng), places[0], _turn(rng), places[1], rng.normal(size=(7, 3)) / 10
+
+
 def _errors(rng: Generator) -> dict[str, Any]:
     return {"rotation_deg": rng.uniform(0, 20, 6), "position_m": rng.uniform(0, 0.04, 6)}
 
@@ -72,13 +90,59 @@ ARGUMENTS: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
         np.zeros(4, dtype=int), np.zeros(4, dtype=int), rng.random(4),
         np.zeros(3, dtype=int), np.zeros(3, dtype=int), rng.random((4, 3)), 0.25, 0,
     ),
+    "equal_diagonals_iou": lambda rng: (_ahead(rng), _ahead(rng)),
+    "relative_translation_error": lambda rng: (_ahead(rng), _ahead(rng)),
+    "axis_aligned_iou": lambda rng: (_box(rng), _box(rng), 3),
+    "legacy_iou": lambda rng: (_box(rng), _box(rng), 3),
+    "iou_plus": _clouds,
+    "best_precision": lambda rng: ([[{"iou": 0.1}, {"iou": rng.random()}]], {"iou": 0.5}),
+    "worst_precision": lambda rng: ([[{"iou": 0.9}, {"iou": rng.random()}]], {"iou": 0.5}),
+    "precision_curve": lambda rng: (rng.random(6), "iou", np.array([0.25, 0.5])),
+    "count_interval": lambda rng: (int(rng.integers(9)), 9, 0.95),
+    "mean_interval": lambda rng: (rng.random(9), 0.95),
+    "median_interval": lambda rng: (rng.random(9), 0.95),
+    "mean_detection_ap": lambda rng: (
+        np.zeros(4, dtype=int), np.arange(4) % 2, rng.random(4),
+        np.zeros(3, dtype=int), np.arange(3) % 2, rng.random((4, 3)), 0.25, [0, 1],
+    ),
+    "pose_ap": lambda rng: (*_detected(rng), 10.0, 0.05, 0),
+    "matched_pose_ap": lambda rng: (*_detected(rng), 10.0, 0.05, 0, rng.random((4, 3))),
+    "sample_surface": lambda rng: (
+        rng.normal(size=(5, 3)), np.array([[0, 1, 2], [2, 3, 4]]), 20, int(rng.integers(100))
+    ),
+    "add": _posed_points,
+    "add_s": _posed_points,
+    "mssd": lambda rng: (*_posed_points(rng), Symmetry.box()),
+    "mspd": lambda rng: (
+        *_posed_points(rng), Symmetry.box(), np.array([600.0, 590.0, 320.0, 240.0]), 640
+    ),
 }  # fmt: skip
 
 #: Metrics on points, which can be without any.
 _POINTS = (
     "average_distance", "chamfer", "surface_precision", "surface_recall", "fscore", "nad",
-    "diameter",
+    "diameter", "iou_plus",
 )  # fmt: skip
+
+
+#: Without an array of numbers among their arguments.
+_NO_ARRAYS = ("best_precision", "worst_precision", "count_interval")
+
+#: Of a list of numbers no length is wrong.
+_LISTS = ("iou_auc", "precision_curve", "mean_interval", "median_interval")
+
+#: What NaN is n/a to.
+_NAN_IS_NA = ("mean_interval", "median_interval")
+
+
+def has_wrong_shapes(metric: str) -> bool:
+    """Whether there are arrays that are no arguments of a metric by their shape."""
+    return metric not in (*_NO_ARRAYS, *_LISTS)
+
+
+def refuses_nan(metric: str) -> bool:
+    """Whether NaN is no argument of a metric."""
+    return metric not in (*_NO_ARRAYS, *_NAN_IS_NA)
 
 
 def _arrays(args: tuple[Any, ...]) -> Iterator[tuple[Callable[[Any], tuple[Any, ...]], Any]]:
@@ -160,15 +224,15 @@ def _of_each_metric(metric: str) -> None:
         weight=0.2,
     )(repeatable)
     broken = {"seed": seeds, "where": st.integers(0, 7)}
-    prop(
-        metric,
-        reason="NaN compares false with every threshold, so that it passes as correct or wrong",
-        given=broken,
-        weight=0.6,
-        applies=matrices,
-    )(nan_rejected)
-    # one number more or less in a list is another list, unless a partner has another length
-    if metric != "iou_auc":
+    if refuses_nan(metric):
+        prop(
+            metric,
+            reason="NaN compares false with every threshold, so that it passes as correct or wrong",
+            given=broken,
+            weight=0.6,
+            applies=matrices,
+        )(nan_rejected)
+    if has_wrong_shapes(metric):
         prop(
             metric,
             reason="broadcast or cut off, wrong shapes give numbers that look right",

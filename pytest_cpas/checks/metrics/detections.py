@@ -53,7 +53,7 @@ def _same(value: Any, expected: Any) -> None:
         close(value, expected, FINE, "the AP")
 
 
-def _by_hand(scene: list[Any], threshold: float, category: int, strict: bool) -> float | None:
+def by_hand(scene: list[Any], threshold: float, category: int, strict: bool) -> float | None:
     """Greedy matching, written down once more; None if two fits are equally good."""
     pred_images, pred_categories, true_images, true_categories, iou, order = scene
     free = {g for g, name in enumerate(true_categories) if name == category}
@@ -85,7 +85,7 @@ def matched_by_hand(subject: Subject, scene: list[Any], threshold: float) -> Non
     if 0 not in scene[3]:
         return
     strict = subject.defines(DETECTION, "boundary") == "strict"
-    expected = _by_hand(scene, threshold, 0, strict)
+    expected = by_hand(scene, threshold, 0, strict)
     if expected is not None:
         _same(_detect(subject, scene, threshold, 0), expected)
 
@@ -121,7 +121,7 @@ def boundary(subject: Subject, threshold: float) -> None:
       given={"scene": scenes(), "seed": seeds})  # fmt: skip
 def order_of_the_input(subject: Subject, scene: list[Any], seed: int) -> None:
     """Without ties the order of predictions and ground truths changes nothing."""
-    if 0 not in scene[3] or _by_hand(scene, 0.3, 0, True) is None:
+    if 0 not in scene[3] or by_hand(scene, 0.3, 0, True) is None:
         return
     rng = np.random.default_rng(seed)
     p, g = rng.permutation(len(scene[0])), rng.permutation(len(scene[2]))
@@ -192,7 +192,7 @@ _SCENE = [[0, 0, 0, 1, 1], [0, 0, 0, 0, 0], [0, 0, 1], [0, 0, 0],
       corners=lambda: ({"scene": _SCENE, "scale": scale} for scale in SCALES))  # fmt: skip
 def any_scores(subject: Subject, scene: list[Any], scale: str) -> None:
     """Negative, tiny, large and nearly equal scores rank as others do."""
-    if 0 in scene[3] and (expected := _by_hand(scene, 0.25, 0, True)) is not None:
+    if 0 in scene[3] and (expected := by_hand(scene, 0.25, 0, True)) is not None:
         _same(_detect(subject, scene, 0.25, 0, SCALES[scale]), expected)
 
 
@@ -216,7 +216,7 @@ def many_detections(subject: Subject, seed: int, images: int) -> None:
         iou.tolist(), rng.permutation(count).tolist(),
     ]  # fmt: skip
     for category in (1000, 7):
-        _same(_detect(subject, scene, 0.9, category), _by_hand(scene, 0.9, category, True))
+        _same(_detect(subject, scene, 0.9, category), by_hand(scene, 0.9, category, True))
 
 
 @prop(DETECTION, reason="an image of which nothing is known, or in which nothing was found, is one",
@@ -227,7 +227,7 @@ def nothing_in_common(subject: Subject, copies: int) -> None:
         [0] + [1] * copies, [0] * (1 + copies), [0, 2], [0, 0],
         [[0.9, 0.9]] + [[0.95, 0.95]] * copies, list(range(1 + copies)),
     ]  # fmt: skip
-    _same(_detect(subject, scene, 0.5, 0), _by_hand(scene, 0.5, 0, True))
+    _same(_detect(subject, scene, 0.5, 0), by_hand(scene, 0.5, 0, True))
     empty: list[Any] = [[], [], [0, 2], [0, 0], np.zeros((0, 2)).tolist(), []]
     _same(_detect(subject, empty, 0.5, 0), 0)
 
@@ -246,4 +246,4 @@ def large_numbers(subject: Subject, first: int, power: int, categories: bool) ->
     if categories:
         scene = [same, names, same[:1], names[:1], [[0.4], [0.9]], [0, 1]]
     category = scene[3][0]
-    _same(_detect(subject, scene, 0.3, category), _by_hand(scene, 0.3, category, True))
+    _same(_detect(subject, scene, 0.3, category), by_hand(scene, 0.3, category, True))

@@ -77,10 +77,11 @@ def time_limit(seconds: float) -> Iterator[None]:
 class Subject:
     """The metrics of one implementation, called in the conventions of this package.
 
-    ``subject("box_iou", box_a, box_b)`` gives a float (None where the metric may be n/a) in
-    radians, metres or shares of 1, whatever the implementation uses. It raises :class:`Finding`
-    when the implementation raises, takes too long or returns something else. What it prints goes
-    nowhere, and it gets copies of the arguments: :meth:`conduct` is what looks at that.
+    ``subject("box_iou", box_a, box_b)`` gives a float (None where the metric may be n/a, a tuple
+    of numbers or points) in radians, metres or shares of 1, whatever the implementation uses. It
+    raises :class:`Finding` when the implementation raises, takes too long or returns something
+    else. What it prints goes nowhere, and it gets copies of the arguments: :meth:`conduct` is what
+    looks at that.
     """
 
     def __init__(self, name: str, metrics: Mapping[str, Offer]) -> None:
@@ -135,11 +136,16 @@ class Subject:
         self.calls.append((metric, args, "no result"))
         try:
             value = self._guarded(offer.function, mine)
-            result: float | bool | None
-            if value is None and KNOWN[metric].gives == "number or None":
+            gives = KNOWN[metric].gives
+            result: Any
+            if value is None and gives.endswith("or None"):
                 result = None
-            elif KNOWN[metric].gives == "truth value":
+            elif gives == "truth value":
                 result = _as_truth(value)
+            elif gives.startswith("numbers"):
+                result = tuple(map(offer.result, _as_rows(value, 1)))
+            elif gives == "points":
+                result = tuple(map(tuple, _as_rows(value, 2)))
             else:
                 result = offer.result(_as_number(value))
         except Finding as finding:
@@ -214,6 +220,18 @@ def _as_number(value: Any) -> float:
         raise Finding(
             Outcome.WRONG_TYPE, f"returned {_kind(value)}, expected one real number"
         ) from None
+
+
+def _as_rows(value: Any, dimensions: int) -> list[Any]:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(())
+    if array.ndim != dimensions or (dimensions == 2 and array.shape[1] != 3):
+        expected = "a list of real numbers" if dimensions == 1 else "points (N, 3)"
+        raise Finding(Outcome.WRONG_TYPE, f"returned {_kind(value)}, expected {expected}")
+    rows: list[Any] = array.tolist()
+    return rows
 
 
 def _as_truth(value: Any) -> bool:
