@@ -43,6 +43,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-profile": _METHOD,
     "--cpas-timeout": _METHOD,
     "--cpas-jitter": _METHOD,
+    "--cpas-batch": _METHOD,
     "--cpas-trace": _METHOD,
     "--cpas-trace-max": ("--cpas-trace",),
     "--cpas-trace-spread": ("--cpas-trace",),

@@ -1,6 +1,7 @@
 """Method times data set gives rows, one per sample; rows give the table."""
 
 from pytest_cpas.datasets.perturbed import RobustnessPoint
+from pytest_cpas.evaluation.batches import batches_of
 from pytest_cpas.evaluation.detected_runs import DetectedRun
 from pytest_cpas.evaluation.estimates import (
     Estimates,
@@ -65,6 +66,7 @@ __all__ = [
     "Shard",
     "StoredRun",
     "Watchdog",
+    "batches_of",
     "can_watch",
     "check_answers",
     "decode_estimates",

@@ -31,8 +31,8 @@ class DetectedRun(MethodRun):
 
     @property
     def notes(self) -> Sequence[str]:
-        """What is noticed about the detections."""
-        return self._detected.notes
+        """What is noticed about the detections, and what went otherwise than planned."""
+        return [*self._detected.notes, *self.batches.told]
 
     @property
     def answers_give(self) -> frozenset[Literal["extents", "shape", "score"]]:
@@ -82,7 +82,8 @@ class DetectedRun(MethodRun):
             if observation is None:
                 return None, Prediction.failed("its mask is empty"), None
             sample = Sample(ref, observation, self.truth(ref))
-            answer, _, prediction = self._answer(self.loaded(), ref, sample, self.seed, where)
+            [answered] = self.batches.asked([sample], self.seed)
+            answer, _, prediction = self._answer(sample, answered, where)
             return answer.estimate, prediction, observation
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import os
+import threading
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
 from pytest_cpas.datasets.perturbed import Perturbed
+from pytest_cpas.evaluation.batches import Batches, check_count
 from pytest_cpas.evaluation.estimates import encode_shape
-from pytest_cpas.evaluation.meanwhile import Meanwhile, Seen, seen
+from pytest_cpas.evaluation.loading import Loading, MethodError
+from pytest_cpas.evaluation.meanwhile import Meanwhile, seen
 from pytest_cpas.evaluation.measuring import measure
 from pytest_cpas.evaluation.other_side import (
     digests_there,
@@ -23,12 +23,10 @@ from pytest_cpas.evaluation.other_side import (
 from pytest_cpas.evaluation.program import look_again, program_of
 from pytest_cpas.evaluation.rows import Answer, Row
 from pytest_cpas.evaluation.runs import Run, SampleError, Selection
-from pytest_cpas.evaluation.surroundings import changed_names, piecewise_digest, united
+from pytest_cpas.evaluation.surroundings import changed_names, united
 from pytest_cpas.evaluation.watchdog import ChannelError, Limit, Limited
 from pytest_cpas.facts import declared_part
 from pytest_cpas.protocols import Protocol, count_columns, judge_outcomes
-from pytest_cpas.reading.checkpoints import LARGEST_CHECKPOINT
-from pytest_cpas.reading.files import sha256
 from pytest_cpas.remote import RaisedThereError, RemoteMethod, WorkerError
 from pytest_cpas.submissions import Given
 from pytest_cpas.types import (
@@ -43,9 +41,7 @@ from pytest_cpas.types import (
     Prediction,
     Sample,
     SampleRef,
-    ToldError,
     as_dataset,
-    assets_of,
     message_of,
     raised_as,
 )
@@ -57,49 +53,9 @@ from pytest_cpas.types.frames import standard_prediction, to_standard
 __all__ = ["MethodError", "MethodRun", "check_answers"]
 
 
-#: Of a folder of weights that are not declared: files that are looked at, and bytes up to which
-#: their whole contents are.
-_MOST_FILES, _LARGEST_FOLDER = 10_000, 2**30
-
-
-class MethodError(ToldError):
-    """A method cannot be loaded."""
-
-
-class Loading:
-    """The loading of a method, and what is known of its weights: when it is first needed, once for
-    all runs that share it."""
-
-    def __init__(self, method: Method, weights: Path | None, device: str) -> None:
-        self._method, self._weights, self._device = method, weights, device
-
-    @functools.cached_property
-    def error(self) -> Exception | None:
-        """Loads the method; what went wrong is remembered, not tried again for every sample."""
-        try:
-            self._method.load(self._weights, self._device)
-        except Exception as error:
-            return error
-        return None
-
-    @functools.cached_property
-    def seen(self) -> Mapping[Path, Seen]:
-        """The files of the weights, before anything is read of them."""
-        folder = self._weights
-        declared = assets_of(self._method, folder) if folder else ()
-        paths = [folder / asset.path for asset in declared] if folder else []
-        paths = paths or _files_below(folder)
-        return seen({path: f"the weights {path.name}" for path in paths})
-
-    @functools.cached_property
-    def declared_weights(self) -> Mapping[str, str]:
-        """Identity: a digest of the files that the method declares; nothing without any."""
-        return _weights_identity(self._method, self._weights)
-
-    @functools.cached_property
-    def undeclared_weights(self) -> Mapping[str, str]:
-        """Provenance: a digest of the folder of a method that declares nothing of it."""
-        return _undeclared_weights(self._method, self._weights)
+#: Held while a data set reads: samples may be read ahead, in a thread, and a data set, which may be
+#: shared by runs, need not know of threads.
+_READING = threading.RLock()
 
 
 class MethodRun(Run):
@@ -119,6 +75,7 @@ class MethodRun(Run):
         shared: MethodRun | None = None,
         keeps_shapes: bool = False,
         protocols: Sequence[Protocol] | None = None,
+        batch: int | None = None,
     ) -> None:
         """List the samples whose category the method knows; nothing is loaded yet.
 
@@ -127,6 +84,8 @@ class MethodRun(Run):
         Each is judged under ``seeds`` seeds, from ``seed`` on; the first gives the row. ``shared``:
         another run of the same method, which is then loaded once for both. ``keeps_shapes``: the
         rows of samples that are not correct everywhere have the estimated shape, for a picture.
+        ``batch``: how many samples the method is asked about at once, None for as many as it
+        declares.
         """
         self._method, self._dataset = method, (dataset := as_dataset(dataset))
         self._weights, self._device = weights, device
@@ -136,6 +95,10 @@ class MethodRun(Run):
         self._heard_there = 0
         #: How long a prediction may take, set by whoever can tell of one that took longer.
         self.limit: Limit | None = None
+        self.batch = method.info.batch if batch is None else batch
+        self.batches = Batches(
+            self._read_seen, self._predicted, [seed + number for number in range(seeds)]
+        )
         self.under_contract = shared is None
         self.info = method.info
         self._parts: list[Sequence[type | Callable[..., object]]]
@@ -189,8 +152,8 @@ class MethodRun(Run):
 
     @property
     def notes(self) -> Sequence[str]:
-        """What the data set says of itself."""
-        return self._dataset.notes
+        """What the data set says of itself, and what went otherwise than planned."""
+        return [*self._dataset.notes, *self.batches.told]
 
     def began(self, when: int, plugins: Iterable[Path]) -> None:
         """Take in when pytest was started, nanoseconds since 1970, and which files its plugins are
@@ -252,16 +215,19 @@ class MethodRun(Run):
     @raised_as(DataError)
     def read(self, ref: SampleRef) -> Sample:
         """One sample; :class:`DataError` if it is damaged."""
-        return self._dataset.load(ref)
+        with _READING:
+            return self._dataset.load(ref)
 
     def unseen(self, ref: SampleRef) -> str:
         """Why nothing is seen of a sample, so that its method is not asked; "" if something is."""
-        return self._dataset.unseen(ref) or ""
+        with _READING:
+            return self._dataset.unseen(ref) or ""
 
     @raised_as(DataError)
     def truth(self, ref: SampleRef) -> GroundTruth:
         """The truth about one sample; raises :class:`DataError` if it is damaged."""
-        return self._dataset.truth(ref)
+        with _READING:
+            return self._dataset.truth(ref)
 
     def judge(self, ref: SampleRef) -> Row:
         """Read, predict, validate, measure."""
@@ -276,21 +242,34 @@ class MethodRun(Run):
         method has seen, None for nothing."""
         where = f"{self.method} on {self.dataset}, sample {ref.id} ({ref.category})"
         try:
-            if reason := self._dataset.unseen(ref):
+            if reason := self.unseen(ref):
                 return self._unseen(ref, reason), Prediction.failed(reason), None
-            sample = self.read(ref)
+            predicted = self.batches.of(ref)
         except DataError as error:
             raise SampleError(f"{where}: the data is bad: {error}") from None
-        try:
-            method = self.loaded()
         except MethodError as error:
             raise SampleError(f"{where}: {error}") from None
         answers, shapes, predictions = zip(
-            *(self._answer(method, ref, sample, self.seed + n, where) for n in range(self.seeds)),
+            *(self._answer(predicted.sample, answer, where) for answer in predicted.answers),
             strict=True,
         )
         row = Row(sample=ref.id, category=ref.category, answers=answers, shape=shapes[0])
-        return row, predictions[0], sample.observation
+        return row, predictions[0], predicted.sample.observation
+
+    def _read_seen(self, ref: SampleRef) -> Sample | None:
+        """One sample, None if nothing is seen of it; :class:`DataError` if it is damaged."""
+        return None if self.unseen(ref) else self.read(ref)
+
+    def _predicted(self, samples: Sequence[Sample], seed: int) -> Sequence[Prediction]:
+        """What the method answers, whatever that is; raises what the method raises."""
+        method = self.loaded()
+        batch = [sample.observation.copy() for sample in samples]
+        if self.limit is None:
+            return method.predict(batch, seed)
+        first = samples[0].ref
+        more = f" and {len(samples) - 1} more" if len(samples) > 1 else ""
+        what = f"{self.method} on {self.dataset}, sample {first.id} ({first.category}){more}"
+        return self.limit.predict(method, batch, seed, f"{what}: predict", sample=first.id)
 
     def _given(self, category: str, prediction: Prediction, seen: Observation | None) -> Given:
         """An answer in the standard frames, with the 2-D box of what the method has seen."""
@@ -310,30 +289,14 @@ class MethodRun(Run):
         return Row(sample=ref.id, category=ref.category, answers=(answer,) * self.seeds)
 
     def _answer(
-        self, method: Method, ref: SampleRef, sample: Sample, seed: int, where: str
+        self, sample: Sample, answered: Prediction | Exception, where: str
     ) -> tuple[Answer, str | None, Prediction]:
-        """What is known of the answer under one seed, its shape if that is to be kept for a
-        picture, and the answer itself."""
+        """What is known of an answer, its shape if that is to be kept for a picture, and the answer
+        itself; :class:`SampleError` if there is none."""
+        if isinstance(answered, Exception):
+            raise _no_answer(answered, where)
         try:
-            batch = [sample.observation.copy()]
-            if self.limit is None:
-                predictions = method.predict(batch, seed)
-            else:
-                predictions = self.limit.predict(
-                    method, batch, seed, f"{where}: predict", sample=ref.id
-                )
-        except ChannelError as error:
-            raise SampleError(str(error)) from None
-        except ContractError as error:
-            raise SampleError(f"{where}: the answer breaks the contract: {error}") from None
-        except RaisedThereError as error:
-            raise SampleError(f"{where}: the method raised {error}") from None
-        except WorkerError as error:
-            raise SampleError(f"{where}: {error}") from None
-        except Exception as error:
-            raise SampleError(f"{where}: the method raised {error!r}") from error
-        try:
-            prediction = check_answers(predictions, self._method.info)
+            prediction = check_answer(answered, self._method.info)
             camera = sample.observation.camera
             [answer] = measure(
                 self.facts, [sample.truth], [prediction], self._method.info, [camera]
@@ -353,49 +316,28 @@ class MethodRun(Run):
         return "0" not in outcome
 
 
-def _weights_identity(method: Method, folder: Path | None) -> dict[str, str]:
-    """A digest of the files that a method loads; nothing for a method without any."""
-    assets = assets_of(method, folder)
-    if not assets or folder is None:
-        return {}
-    digest = hashlib.sha256()
-    for asset in sorted(assets, key=lambda asset: asset.path):
-        content = sha256(folder / asset.path, LARGEST_CHECKPOINT)
-        digest.update(f"{asset.path} {content}\n".encode())
-    return {"weights": digest.hexdigest()[:16]}
-
-
-def _files_below(folder: Path | None) -> list[Path]:
-    """The files of a folder, also where links lead to folders."""
-    found: list[Path] = []
-    been = set()
-    for at, folders, files in os.walk(folder, followlinks=True) if folder else ():
-        been.add(os.path.realpath(at))
-        folders[:] = [f for f in folders if os.path.realpath(os.path.join(at, f)) not in been]
-        found += [path for name in files if (path := Path(at, name)).is_file()]
-    return sorted(found)[:_MOST_FILES]
-
-
-def _undeclared_weights(method: Method, folder: Path | None) -> dict[str, str]:
-    """A digest of the folder that a method without declared assets is given: what it reads there is
-    known to nobody."""
-    if folder is None or assets_of(method, folder):
-        return {}
-    files = _files_below(folder)
-    small = sum(path.stat().st_size for path in files) <= _LARGEST_FOLDER
-    digest = hashlib.sha256()
-    for path in files:
-        told = sha256(path) if small else piecewise_digest(path)
-        digest.update(f"{path.relative_to(folder)} {told}\n".encode(errors="backslashreplace"))
-    return {"weights_folder": digest.hexdigest()[:16]}
+def _no_answer(error: Exception, where: str) -> SampleError:
+    """Why a sample has no answer, in words."""
+    if isinstance(error, ChannelError):
+        return SampleError(str(error))
+    if isinstance(error, ContractError):
+        return SampleError(f"{where}: the answer breaks the contract: {error}")
+    if isinstance(error, RaisedThereError):
+        return SampleError(f"{where}: the method raised {error}")
+    if isinstance(error, WorkerError):
+        return SampleError(f"{where}: {error}")
+    told = SampleError(f"{where}: the method raised {error!r}")
+    told.__cause__ = error
+    return told
 
 
 def check_answers(answers: Sequence[Prediction], info: MethodInfo) -> Prediction:
     """The one prediction of a batch of one, if it holds what the method declares to give."""
-    if not isinstance(answers, Sequence) or len(answers) != 1:
-        seen = f"{len(answers)} of them" if isinstance(answers, Sequence) else type(answers)
-        raise AnswerError(f"predict: {seen}, expected one Prediction for a batch of one")
-    prediction = answers[0]
+    return check_answer(check_count(answers, 1)[0], info)
+
+
+def check_answer(prediction: Prediction, info: MethodInfo) -> Prediction:
+    """A prediction, if it holds what the method declares to give; else :class:`AnswerError`."""
     if not isinstance(prediction, Prediction):
         raise AnswerError(f"predict: a {type(prediction).__name__}, expected Prediction")
     for hypothesis in prediction.hypotheses:

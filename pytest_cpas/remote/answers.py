@@ -54,7 +54,12 @@ def info_of(told: object, name: str, as_called: str = "") -> MethodInfo:
     values |= {part: frozenset(values[part]) for part in _SETS if part in values}
     values["categories"] = tuple(values.get("categories", ()))
     values["assets"] = tuple(asset_of(each, name) for each in values.get("assets", ()))
-    for part, kind in (("licence", str), ("deterministic", bool), ("tolerance", (int, float))):
+    for part, kind in (
+        ("licence", str),
+        ("deterministic", bool),
+        ("tolerance", (int, float)),
+        ("batch", int),
+    ):
         if part in values and not isinstance(values[part], kind):
             raise DeclarationError(f"method {name!r}: info's {part} is {shown(values[part])}")
     try:

@@ -86,6 +86,13 @@ def add_options(parser: pytest.Parser) -> None:
         " which later runs are then allowed (default: 1)",
     )
     group.addoption(
+        "--cpas-batch",
+        metavar="N",
+        type=int,
+        help="ask the methods for N samples at once (default: as many as each declares). With"
+        " --cpas-timeout, which is about one sample, a method in this interpreter is asked for one",
+    )
+    group.addoption(
         "--cpas-category",
         action="append",
         default=[],

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,10 +32,11 @@ from pytest_cpas.golden import orphans
 from pytest_cpas.golden.published import count_problems
 from pytest_cpas.golden.snapshot import alarm_level, golden_folder
 from pytest_cpas.reading.text import folded
-from pytest_cpas.remote import close_all, project_folder
+from pytest_cpas.remote import RemoteMethod, close_all, project_folder
 from pytest_cpas.report.progress import watch
 from pytest_cpas.report.stored import StoredReportError
 from pytest_cpas.report.terminal import Terminal, shows_samples
+from pytest_cpas.session.batching import plan_batches, scheduling
 from pytest_cpas.session.beginning import began
 from pytest_cpas.session.collected import CollectedRun, ItemResult
 from pytest_cpas.session.contract_stage import contract_stages
@@ -52,12 +53,12 @@ from pytest_cpas.session.seen_items import seen_items
 from pytest_cpas.session.suite_session import (
     SuiteSession,
     end_run,
-    grouped,
     report_outcome,
+    sample_items,
     usage_errors,
 )
 from pytest_cpas.session.time_limit import sample_seconds, time_limit
-from pytest_cpas.types import ContractError, Verdict, some_of
+from pytest_cpas.types import ContractError, SampleRef, Verdict, some_of
 
 __all__ = ["ITEM_RESULT", "CpasSession", "cpas_session"]
 
@@ -150,6 +151,8 @@ class CpasSession(SuiteSession):
             )
         for index, run in enumerate(self.runs):
             if isinstance(run, MethodRun):
+                if not isinstance(run.unloaded, RemoteMethod):
+                    run.batch = 1  # of several nobody could tell which of them takes long
                 run.limit = Limit(
                     watchdog=time_limit(self.config).watchdog,
                     seconds=seconds,
@@ -185,6 +188,31 @@ class CpasSession(SuiteSession):
                 continue
             self._with_contract.add(callspec.params["run"])
 
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_finish(self, session: pytest.Session) -> None:
+        """See which samples a method is asked about at once."""
+        order = [item.nodeid for item in session.items]
+        worker = getattr(self.config, "workerinput", {"workercount": 1, "workerid": "gw0"})
+        workers = worker["workercount"]
+        if int(worker["workerid"].lstrip("gw")) >= workers:
+            return  # one has ended in a batch, and of which sample nobody knows
+        for collected, run, items in self._in_batches():
+            batches = plan_batches(collected, run, items, order, workers)
+            run.batches.plan(batches, ahead=self.is_controller)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_xdist_make_scheduler(self, config: pytest.Config, log: Any) -> Any:
+        """Under xdist's usual distribution the items of a batch go to one worker."""
+        runs = self._in_batches()
+        return scheduling(config, log, runs) if runs and config.option.dist == "load" else None
+
+    def _in_batches(self) -> list[tuple[CollectedRun, MethodRun, Mapping[str, list[SampleRef]]]]:
+        return [
+            (collected, run, sample_items(self.node, run, self.options.granularity))
+            for run, collected in self.collected.items()
+            if isinstance(run, MethodRun) and run.batch > 1
+        ]
+
     def _exclude_categories(self) -> None:
         """See which categories are left out as a whole, by --cpas-category or by a selection of
         items: those are not asked for. What a limit or a shard leaves out is."""
@@ -193,12 +221,9 @@ class CpasSession(SuiteSession):
         deselected: dict[Run, set[str]] = {}
         for run in self.runs:
             there, selected = set[str](), set[str]()
-            for name, refs in grouped(run.samples, self.options.granularity):
+            for nodeid, refs in sample_items(self.node, run, self.options.granularity).items():
                 categories = {ref.category for ref in refs}
                 there |= categories
-                # as pytest writes what is not ASCII
-                name = name.encode("unicode_escape").decode("ascii")
-                nodeid = f"{self.node}::test_sample[{run.method}-{run.dataset}-{name}]"
                 if nodeid in all_selected:
                     selected |= categories
                     left.discard(nodeid)
@@ -219,19 +244,23 @@ class CpasSession(SuiteSession):
         return any(named) or any("::" in argument for argument in self.config.args)
 
     def item_content(self, item: pytest.Item) -> Any:
-        """The run's index, what the item found, and which files were opened; None for items that
-        judge no sample."""
+        """The run's index, what the item found, which files were opened, and what is told of its
+        batches; None for items that judge no sample."""
         if ITEM_RESULT not in item.stash:
             return None
         run = item.callspec.params["run"]  # type: ignore[attr-defined]
         self._hear()
         opened = [] if self.is_controller else self._opened.news()
-        return self.runs.index(run), item.stash[ITEM_RESULT].plain(), opened
+        told = run.batches.told if isinstance(run, MethodRun) else []
+        return self.runs.index(run), item.stash[ITEM_RESULT].plain(), opened, told
 
     def collect(self, content: Any) -> None:
         """Collect what an item found."""
-        index, values, opened = content
+        index, values, opened, told = content
         self._opened.take((name, digest) for name, digest in opened)
+        if isinstance(run := self.runs[index], MethodRun):
+            for line in told:
+                run.batches.tell(line)
         collected, result = self.collected[self.runs[index]], ItemResult.of(values)
         if self._progress:
             self._progress.add(collected.run, result.rows, len(result.errors))

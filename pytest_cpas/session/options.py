@@ -32,6 +32,7 @@ class RunOptions:
     seeds that each sample is judged under, from ``seed`` on; ``alarm`` is the probability of a
     false alarm against a golden table of several seeds; ``protocols``: what is judged under, the
     paper's if None; ``timeout``: seconds that a prediction may take per sample, None for any;
+    ``batch``: how many samples a method is asked about at once, None for as many as it declares;
     ``reuse_any``: whether rows in ``results`` serve that another program computed; ``save``: the
     file, or the folder, for all answers; ``trace``: the folder for traces, ``parity``: the one of
     the traces to compare with, if they are recorded ones; ``others`` are the files of the runs to
@@ -53,6 +54,7 @@ class RunOptions:
     selection: Selection = field(default_factory=Selection)
     robustness: bool = False
     benchmark: bool = False
+    batch: int | None = None
     granularity: Granularity = "sample"
     golden: Path
     update: bool = False
@@ -87,7 +89,8 @@ class RunOptions:
         Relative paths are looked for in ``here``. Raises :class:`ValueError` that names an option
         whose value cannot be meant.
         """
-        for name, count in (("limit", options.cpas_limit), ("jitter", options.cpas_jitter)):
+        for name in ("limit", "jitter", "batch"):
+            count = getattr(options, f"cpas_{name}")
             if count is not None and count < 1:
                 raise ValueError(f"--cpas-{name} is {count}, expected at least 1")
         return cls(
@@ -106,6 +109,7 @@ class RunOptions:
             selection=_selection(options),
             robustness=options.cpas_profile == "robustness",
             benchmark=options.cpas_benchmark,
+            batch=options.cpas_batch,
             granularity=options.cpas_granularity,
             golden=golden,
             update=_update(options),

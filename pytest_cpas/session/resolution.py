@@ -267,6 +267,7 @@ def _method_runs(
             shared=runs[0] if runs else None,
             keeps_shapes=bool(options.report) and not options.robustness,
             protocols=options.protocols,
+            batch=options.batch,
         )
         runs.append(run)
     return runs

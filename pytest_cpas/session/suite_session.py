@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 import pytest
 
+from pytest_cpas.evaluation import Run
 from pytest_cpas.reading.text import encodable_values, terminal_line, terminal_lines
 from pytest_cpas.session.guard import only_shows
 from pytest_cpas.session.options import Granularity
@@ -192,6 +193,16 @@ def grouped(
     for ref in samples:
         groups[terminal_line(ref.scene) if granularity == "scene" else "all"].append(ref)
     return groups.items()
+
+
+def sample_items(node: str, run: Run, granularity: Granularity) -> dict[str, list[SampleRef]]:
+    """The items of a run's samples, by node id."""
+    items = {}
+    for name, refs in grouped(run.samples, granularity):
+        # as pytest writes what is not ASCII
+        name = name.encode("unicode_escape").decode("ascii")
+        items[f"{node}::test_sample[{run.method}-{run.dataset}-{name}]"] = refs
+    return items
 
 
 def report_outcome(

@@ -44,6 +44,10 @@ EQUIVARIANCES = ("shift", "resolution", "distance", "mirror", "roll")
 TOLERANCE = 1e-5
 
 
+#: Observations that a method may be asked about at once: each has some megabytes.
+MOST_AT_ONCE = 1024
+
+
 @dataclass(frozen=True, kw_only=True)
 class MethodInfo:
     """What a method declares about itself; the checks that are demanded of it follow from it.
@@ -53,7 +57,8 @@ class MethodInfo:
     its hypotheses are expressed (the harness converts). ``deterministic``: the same seed gives
     the same answer. ``tolerance``: by how much, in metres and radians, answers may differ that
     must be the same: what batch size and threads do to sums of floats. ``equivariances``: what a
-    method claims to follow, see :data:`EQUIVARIANCES`.
+    method claims to follow, see :data:`EQUIVARIANCES`. ``batch``: about how many observations it is
+    asked at once.
     """
 
     name: str
@@ -67,6 +72,7 @@ class MethodInfo:
     assets: tuple[Asset, ...] = ()
     tolerance: float = TOLERANCE
     equivariances: frozenset[str] = frozenset()
+    batch: int = 1
 
     def __post_init__(self) -> None:
         for name, allowed in (
@@ -94,6 +100,11 @@ class MethodInfo:
             raise DeclarationError(
                 f"method {self.name!r}: tolerance is {self.tolerance}, expected metres and radians"
                 " that float noise explains, below 0.1"
+            )
+        if type(self.batch) is not int or not 1 <= self.batch <= MOST_AT_ONCE:
+            raise DeclarationError(
+                f"method {self.name!r}: batch is {self.batch!r}, expected how many observations"
+                f" predict is given at once, 1 to {MOST_AT_ONCE}"
             )
         if not self.categories:
             raise DeclarationError(f"method {self.name!r}: it declares no categories")
