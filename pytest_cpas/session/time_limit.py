@@ -113,7 +113,7 @@ class TimeLimit:
                     node = crashitem.partition("::")[0]
                     report.cpas_content = (  # type: ignore[attr-defined]
                         node,
-                        (note["run"], found.plain(), []),
+                        (note["run"], found.plain(), [], []),
                     )
 
     def pytest_unconfigure(self) -> None:

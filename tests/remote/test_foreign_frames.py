@@ -116,7 +116,10 @@ def test_what_is_declared():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"gives_mesh": True}, "info has 'gives_mesh', expected some of assets, camera_frame,"),
+        (
+            {"gives_mesh": True},
+            "info has 'gives_mesh', expected some of assets, batch, camera_frame,",
+        ),
         ({"name": "../good"}, "a name becomes a folder"),
         ({"categories": "mug"}, "info's categories is 'mug', expected a list"),
         ({"categories": []}, "declares no categories"),
@@ -124,6 +127,8 @@ def test_what_is_declared():
         ({"gives": ["colour"]}, "gives has .'colour'"),
         ({"assets": [{"path": "w"}]}, "an asset is {'path': 'w'}, expected path, url and licence"),
         ({"tolerance": "1"}, "info's tolerance is '1'"),
+        ({"batch": "many"}, "info's batch is 'many'"),
+        ({"batch": 0}, "batch is 0, expected how many observations"),
         ({"camera_frame": "blender"}, "camera_frame is 'blender', expected one of"),
     ],
 )
