@@ -185,6 +185,13 @@ def faults(session: nox.Session) -> None:
 
 
 @nox.session
+def budget(session: nox.Session) -> None:
+    """How sure is each planted fault in a metric to be caught: of what is drawn, with 300 seeds."""
+    install(session, "-e", ".", "--group", "test")
+    session.run("python", "tests/checks/budget.py", *session.posargs, env=ENV)
+
+
+@nox.session
 def peers(session: nox.Session) -> None:
     """Check published implementations of metrics: their recorded violations still happen."""
     install(session, "-e", ".[open3d,xdist]", "manifold3d", "opencv-python-headless", "tqdm")

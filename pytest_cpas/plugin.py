@@ -55,6 +55,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "--cpas-against": ("--cpas-report",),
     "--cpas-allow-gaps": ("--cpas-merge",),
     "--cpas-examples": ("--cpas-metrics",),
+    "--cpas-no-shrink": ("--cpas-metrics",),
     "--cpas-metrics-report": ("--cpas-metrics",),
     "--cpas-known-faults": ("--cpas-check-dataset", "--cpas-dataset"),
     "--cpas-categories": ("--cpas-check-dataset", "--cpas-dataset"),

@@ -205,6 +205,11 @@ def add_options(parser: pytest.Parser) -> None:
         help="examples per property of --cpas-metrics (default: 40)",
     )
     group.addoption(
+        "--cpas-no-shrink",
+        action="store_true",
+        help="keep the first counterexample of --cpas-metrics as it is: quicker, and larger",
+    )
+    group.addoption(
         "--cpas-metrics-report",
         action="append",
         default=[],

@@ -199,11 +199,13 @@ class DatasetOptions:
 class MetricsOptions:
     """What checking implementations of metrics is asked for.
 
-    ``examples`` per property, None for as many as is usual; ``reports``: files to write.
+    ``examples`` per property, None for as many as is usual; ``shrink``: make counterexamples
+    smaller; ``reports``: files to write.
     """
 
     metrics: Sequence[str]
     examples: int | None = None
+    shrink: bool = True
     seed: int = 0
     update: bool = False
     reports: Sequence[Path] = ()
@@ -221,6 +223,7 @@ class MetricsOptions:
         return cls(
             metrics=tuple(dict.fromkeys(options.cpas_metrics)),
             examples=options.cpas_examples,
+            shrink=not options.cpas_no_shrink,
             seed=options.cpas_seed,
             update=_update(options),
             reports=reports,

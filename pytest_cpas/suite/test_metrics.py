@@ -34,7 +34,10 @@ def test_metric(subject: Subject, prop: Property, request: pytest.FixtureRequest
     known = session.known_failure(subject, prop.name)
     with session.within_time(subject, prop.name):
         if known is None:
-            result = check(subject, prop, seed=session.options.seed, examples=session.examples)
+            options = session.options
+            result = check(
+                subject, prop, seed=options.seed, examples=session.examples, shrink=options.shrink
+            )
         else:
             result = replay(subject, prop, known.case)
     as_recorded = known is not None and result.outcome is known.outcome

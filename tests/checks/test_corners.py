@@ -6,6 +6,8 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 
+import budget
+import faults
 import numpy as np
 import pytest
 
@@ -111,3 +113,18 @@ def test_sums_over_bins_are_judged_to_the_bin(bins):
         faulty = as_subject("mine", {metric: offer(wrong, bins=bins)})
         assert check(right, prop, examples=20).outcome is Outcome.PASSED
         assert check(faulty, prop, examples=20).outcome is Outcome.VIOLATED
+
+
+def test_budget_tells_what_is_enumerated_from_what_is_drawn():
+    """Corners are tried once, and what is drawn with every seed."""
+    names = [f"{fault.metric}: {fault.name}" for fault in faults.FAULTS]
+    shown = budget.budget(names.index("precision: a limit of 0 is none"), 3)
+    assert (shown.by, shown.tries) == ("precision.limit_of_zero", 1)
+    drawn = budget.budget(names.index("diameter: radius"), 3)
+    assert (drawn.share, drawn.any_share, drawn.tries) == (3, 3, 3)
+
+
+def test_what_nothing_catches_is_seen_in_the_budget(monkeypatch):
+    right = faults.Fault("diameter", "none", lambda f: f, {})
+    monkeypatch.setattr(faults, "FAULTS", [right])
+    assert budget.budget(0, 2) == budget.Budget("diameter: none", "-", 0, 0, 2)

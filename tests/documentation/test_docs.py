@@ -8,6 +8,7 @@ import pkgutil
 import re
 import tomllib
 
+import make_properties
 import pytest
 from docs_pages import (
     DOCS,
@@ -163,6 +164,11 @@ def test_every_check_is_in_the_reference():
         metric, _, rest = name.partition(".")
         assert f"| `{rest}` |" in section(page, f"properties-{metric}"), name
         assert " ".join(prop.statement.split()).replace("|", "&#124;") in page, name
+
+
+def test_properties_can_be_read_in_the_repository():
+    made = make_properties.page_text()
+    assert make_properties.PATH.read_text(encoding="utf-8") == made, "run tools/make_properties.py"
 
 
 @pytest.mark.parametrize(

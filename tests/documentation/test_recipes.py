@@ -140,7 +140,7 @@ def test_slurm(project):
 def test_the_metric_authors_tutorial(pytester):
     """Its code violates what it says, and less once it is mended as it says."""
     tutorial = text("metric-author.md")
-    first, adapter, mended, alone = blocks(tutorial, "python")
+    first, adapter, mended, boxes, alone = blocks(tutorial, "python")
     (pytester.mkdir("lab") / "adapter.py").write_text(adapter)
     shown = re.findall(r"^(\S+\.\w+) +(violated|passed)$", tutorial, re.MULTILINE)
 
@@ -157,3 +157,12 @@ def test_the_metric_authors_tutorial(pytester):
     found = outcomes(mended)
     assert {name for name, word in found.items() if word == "violated"} == {n for n, _ in after}
     compile(alone, "tutorial", "exec")
+
+    (pytester.path / "lab" / "boxes.py").write_text(
+        "from pytest_cpas.metrics import oriented_iou\n\n\n"
+        "def iou(r_a, t_a, half_a, r_b, t_b, half_b):\n"
+        "    return oriented_iou(r_a, t_a, 2 * half_a, r_b, t_b, 2 * half_b)\n"
+    )
+    (pytester.path / "lab" / "adapter.py").write_text(boxes)
+    code, printed = run('pytest --cpas-metrics lab.adapter -q -k "box_iou.nested"', pytester.path)
+    assert (code, "box_iou.nested_either_way  passed" in printed) == (0, True), printed

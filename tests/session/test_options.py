@@ -30,6 +30,7 @@ def test_nothing_is_asked_for_by_default(parse):
     expected = RunOptions(golden=Path("golden"))
     assert RunOptions.of(parse(), HERE, golden=Path("golden")) == expected
     assert MetricsOptions.of(parse(), HERE) == MetricsOptions(metrics=())
+    assert not MetricsOptions.of(parse("--cpas-no-shrink"), HERE).shrink
     assert DatasetOptions.of(parse(), HERE) == DatasetOptions(datasets=())
 
 
@@ -108,7 +109,11 @@ def test_values_that_cannot_be_meant_for_metrics(parse, argument, words):
 
 def test_update_is_syrupys_option():
     options = argparse.Namespace(
-        cpas_metrics=[], cpas_examples=None, cpas_seed=0, cpas_metrics_report=[]
+        cpas_metrics=[],
+        cpas_examples=None,
+        cpas_no_shrink=False,
+        cpas_seed=0,
+        cpas_metrics_report=[],
     )
     assert not MetricsOptions.of(options, HERE).update
     options.update_snapshots = True

@@ -337,6 +337,7 @@ def alone(request, pytester):
         "--cpas-benchmark",
         "--cpas-require-golden",
         "--cpas-allow-gaps",
+        "--cpas-no-shrink",
         "--cpas-trace-spread",
     )
     option = request.param

@@ -101,7 +101,8 @@ def unless_refused(subject: Subject, metric: str, *args: Any) -> Any:
 
 def close(value: float | None, expected: float, tolerance: float, what: str = "the value") -> None:
     """Expect ``value`` within ``tolerance`` (absolute) of ``expected``; NaN and None never are."""
-    expect(
-        value is not None and math.isfinite(value) and abs(value - expected) <= tolerance,
-        f"{what} is {value!r}, expected {expected!r} within {tolerance:.3g}",
-    )
+    if value is None or not math.isfinite(value):
+        expect(False, f"{what} is {value!r}, expected {expected!r} within {tolerance:.3g}")
+    elif (error := abs(value - expected)) > tolerance:
+        told = f"{what} is {value!r}, expected {expected!r} within {tolerance:.3g}"
+        expect(False, f"{told}; it is off by {error:.2g}")
