@@ -128,6 +128,7 @@ class AsmNet(Needy):
                 f"category {observation.category!r}: {self.info.name} knows {', '.join(CATEGORIES)}"
             )
         depth = np.rint(observation.depth.astype(float) * 1000) / 1000  # whole millimetres
+        tap("depth", depth)
         seen = observation.mask & (depth > 0)
         if seen.any():
             values = depth[seen]

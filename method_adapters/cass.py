@@ -81,10 +81,12 @@ class Cass(NetworkMethod[Inputs]):
         crop = crop_around(valid if valid.any() else observation.mask)
         tap("crop", crop.limits)
         rows, columns = depth_pixels(valid, observation.depth, crop)
+        tap("pixels", (rows, columns))
         picked = draw("picked", subset_in_order(len(rows), generator, POINT_COUNT))
         rows, columns = rows[picked], columns[picked]
         v, u = rows + crop.row, columns + crop.column
-        points = back_project(v, u, observation.depth, observation.camera)
+        depth = tap("depth", observation.depth)
+        points = back_project(v, u, depth, observation.camera)
         return Inputs(
             points @ FLIP.astype(np.float32),
             network_image(observation.rgb, crop),

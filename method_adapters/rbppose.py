@@ -94,8 +94,9 @@ class RbpPose(NetworkMethod[Inputs]):
             raise NoAnswerError("the pixels with a depth are too scattered: resampling meets none")
         tap("resampled", (v, u))
         picked = draw("picked", generator.choice(len(v), POINT_COUNT, replace=len(v) < POINT_COUNT))
+        depth = tap("depth", observation.depth)
         return Inputs(
-            back_project(v[picked], u[picked], observation.depth, observation.camera),
+            back_project(v[picked], u[picked], depth, observation.camera),
             np.array(category),
             prior,
             np.array(MEAN_SIZES[observation.category], np.float32),

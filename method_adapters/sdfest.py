@@ -219,6 +219,7 @@ def interpret(found: Estimate, mesh: Mesh, axes: Array, seed: int) -> Hypothesis
     """The answer in the world frame, object axes turned by ``axes`` (3, 3): pose, mesh, points on
     it, and the box around these that has its centre at the origin."""
     mesh = Mesh(mesh.vertices @ axes.T, mesh.triangles)
+    tap("mesh", {"vertices": mesh.vertices, "triangles": mesh.triangles})
     points = draw("sampled", sample_surface(mesh, POINT_COUNT, seed))
     return Hypothesis(
         rotation=Rotation.from_quat(found.quaternion.cpu().numpy()).as_matrix() @ axes.T,

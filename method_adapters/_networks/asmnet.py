@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pytest_cpas.adapting import tap
+
 #: Deformation coefficients of the active shape model that are estimated.
 COEFFICIENTS = 3
 
@@ -65,7 +67,8 @@ class PointFeatures(nn.Module):
     def forward(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """(B, 3, N) to (B, 1024) and the transformer's matrix (B, 3, 3)."""
         matrix = self.stn(points)
-        x = matrix.mT @ points  # points are rows to the published transformer
+        # points are rows to the published transformer
+        x = tap("network.aligned", matrix.mT @ points)
         x = F.relu(self.bn1(self.conv1(x)))
         x = F.relu(self.bn2(self.conv2(x)))
         return self.bn3(self.conv3(x)).amax(-1), matrix

@@ -55,7 +55,8 @@ class Neighbourhood:
 
     def pooled(self, features: Tensor, kept: Tensor) -> Tensor:
         """Of the points ``kept`` (B, M), the largest features among their next four others."""
-        return at_points(features, at_points(self.index, kept)[..., :POOLED]).amax(2)
+        around = at_points(self.index, kept)[..., :POOLED]
+        return tap("network.pooled", at_points(features, around).amax(2))
 
     def responses(self, kernel: Tensor, supports: Tensor | None = None) -> Tensor:
         """How the neighbours lie in the directions ``kernel`` (3, 7 C): the cosine, if positive,

@@ -73,7 +73,7 @@ def first_layer(layer: Any, parts: Sequence[Tensor]) -> Tensor:
     y = F.conv1d(parts[0], weights[0], layer.bias)
     for part, weight in zip(parts[1:], weights[1:], strict=True):
         y = y + F.conv1d(part, weight)
-    return y
+    return tap("network.first_layer", y)
 
 
 def assigned(assign: Tensor, prior: Tensor, deltas: Tensor) -> Tensor:

@@ -2,18 +2,14 @@
 
     pip install --no-deps cpas_toolbox==1.0.0 absl-py "opencv-python-headless<5"
 
-SGPA and DPDN need CUDA extensions there. RBP-Pose asks for a GPU in one place, which is taken out.
+RBP-Pose asks for a GPU in one place, which is taken out. All networks, with those that need CUDA
+extensions there, are compared stage by stage in test_port_peer_parity.py.
 """
-
-import contextlib
-import importlib
-import sys
-from importlib.util import find_spec
-from unittest.mock import MagicMock
 
 import asmnet_cases
 import cases
 import numpy as np
+import published
 import pytest
 import torch
 
@@ -26,13 +22,7 @@ from method_adapters.rbppose import (
     resampled_pixels,
     rotation_between,
 )
-from pytest_cpas._open3d import import_open3d
 from pytest_cpas.similarity import robust_umeyama, umeyama
-from pytest_cpas.stages import TorchTaps, hearing
-from pytest_cpas.traces.comparing import compare
-from pytest_cpas.traces.maps import read_map
-from pytest_cpas.traces.proposing import map_text, propose
-from pytest_cpas.traces.recording import Recorder, Trace
 from pytest_cpas.types import CATEGORIES
 
 pytest.importorskip("cpas_toolbox", reason="pip install --no-deps cpas_toolbox==1.0.0")
@@ -42,14 +32,8 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 @pytest.fixture
 def peer(monkeypatch):
-    """Import a module of the peer; what it needs for training and plots alone is left out."""
-    names = ("cv2", "matplotlib", "matplotlib.pyplot", "tqdm")
-    names += ("torchvision", "torchvision.transforms", "sklearn", "sklearn.decomposition")
-    for name in [n for n in names if find_spec(n.partition(".")[0]) is None]:
-        monkeypatch.setitem(sys.modules, name, MagicMock())
-    with contextlib.suppress(ImportError):
-        import_open3d()
-    return lambda path: importlib.import_module(f"cpas_toolbox.cpas_methods.{path}")
+    """Import a module of the peer."""
+    return published.importer(monkeypatch)
 
 
 @pytest.mark.parametrize(
@@ -64,40 +48,6 @@ def test_networks(peer, name, path):
         theirs = published(*inputs)
     for a, b in zip(ours, theirs, strict=True):
         assert cases.relative(a, b.numpy()) <= cases.TOLERANCE
-
-
-def traced(net, inputs):
-    recorder = Recorder()
-    with hearing(recorder), TorchTaps(net), torch.inference_mode():
-        net(*inputs)
-    return Trace(values=recorder.values)
-
-
-@pytest.mark.parametrize(
-    ("name", "path", "made", "shared"),
-    [
-        ("spd", "_spd.spd.network", lambda m: m.DeformNet(n_cat=6, nv_prior=1024), 105),
-        ("crnet", "_crnet.crnet.network", lambda m: m.DeformNet(n_cat=6, nv_prior=1024), 267),
-        (
-            "asmnet",
-            "_asmnet.ASM_Net.pointnet",
-            lambda m: m.ASM_Net(num_points=800, k=4),
-            32,
-        ),
-    ],
-)
-def test_parity_at_every_shared_stage(peer, tmp_path, name, path, made, shared):
-    """Under the map of names that is proposed."""
-    ours = asmnet_cases.network("mug") if name == "asmnet" else cases.network(name)
-    inputs = asmnet_cases.network_inputs() if name == "asmnet" else cases.network_inputs(name)
-    published = made(peer(path)).eval()
-    published.load_state_dict(ours.state_dict(), strict=True)
-    own, theirs = traced(ours, inputs), traced(published, inputs)
-    (tmp_path / "parity.toml").write_text(map_text([propose(own, theirs)]))
-    found = compare(own, read_map(tmp_path / "parity.toml").applied(theirs))
-    assert found.parting is None, found.parting
-    assert len(found.differences) >= shared
-    assert {"network.assign", "network.shape"} & {each.name for each in found.differences}
 
 
 def boxes(count):
@@ -157,32 +107,11 @@ def test_rbppose_network(rbppose_peer, monkeypatch):
     loaded = theirs.load_state_dict(ours.state_dict(), strict=False)
     assert not loaded.unexpected_keys
     assert all(key.startswith(RbpPose.unused) for key in loaded.missing_keys)
-    random = np.random.default_rng(0)
-    mask = np.zeros((256, 256), np.float32)
-    mask.ravel()[random.permutation(256 * 256)[:1028]] = 1
-    depth = np.float32(800) + 60 * random.random((256, 256), np.float32)
-    rows, columns = np.mgrid[:256, :256].astype(np.float32)
-    matrix = np.array([[1000, 0, 128], [0, 1010, 130], [0, 0, 1]], np.float32)
-    prior, size = cases.priors()[5].astype(np.float32), np.float32([0.15, 0.08, 0.11])
-    v, u = np.nonzero(mask)
-    z = depth[v, u]
-    x, y = (columns[v, u] - 128) * z / 1000, (rows[v, u] - 130) * z / 1010
-    points = (np.stack([x, y, z], axis=1) / 1000).astype(np.float32)
-    batch = {
-        "rgb": np.zeros((3, 256, 256), np.float32),
-        "depth": depth[None],
-        "obj_id": np.array(5),
-        "camK": matrix,
-        "def_mask": mask[None],
-        "mean_shape": size,
-        "shape_prior": prior,
-        "gt_2D": np.stack([columns, rows]),
-    }
+    given, batch = published.rbppose_inputs()
     with torch.inference_mode():
-        expected = theirs(**{k: torch.from_numpy(x[None]) for k, x in batch.items()})
-    given = [torch.from_numpy(x[None]) for x in (points, np.array(5), prior, size)]
-    given += [torch.arange(n)[None] for n in (257, 64, 256, 64)]
+        expected = theirs(**batch)
     *result, deltas = cases.outputs_of(ours, given)
+    prior = cases.priors()[5].astype(np.float32)
     names = ("p_green_R", "p_red_R", "f_green_R", "f_red_R", "Pred_T", "Pred_s", "recon_model")
     for name, output in zip(names, [*result, prior + deltas], strict=True):
         assert cases.relative(output, expected[name].numpy()) <= cases.TOLERANCE, name

@@ -15,11 +15,13 @@ import planted_methods
 import pytest
 import tiny
 import workers
+from tapping_here import Here
 
 from pytest_cpas.evaluation import MethodRun
 from pytest_cpas.remote import RaisedThereError, remote_method
 from pytest_cpas.traces.comparing import compare
-from pytest_cpas.traces.recording import record
+from pytest_cpas.traces.files import Header, read_sample, samples_in, write_sample
+from pytest_cpas.traces.recording import draws_of, record
 
 NAMES = ("pypy3", *(f"python3.{minor}" for minor in range(6, 20)))
 
@@ -40,7 +42,7 @@ FOUND = interpreters()
 
 
 @pytest.mark.parametrize("path", FOUND.values(), ids=list(FOUND))
-def test_worker_answers(path):
+def test_worker_answers(path, tmp_path):
     """With the method, where there is a numpy; else with what is lacking."""
     asked = workers.spec(command=(path,))
     lacking = ""
@@ -60,12 +62,13 @@ def test_worker_answers(path):
         assert np.array_equal(answer.rotation, here["rotation"])
         assert np.array_equal(answer.extents, here["extents"])
         kind.remote.close()
-        check_taps(path)
+        check_taps(path, tmp_path)
     assert workers.left_of(asked) == []
 
 
-def check_taps(path):
-    """What is named and drawn there is what is named and drawn by this interpreter."""
+def check_taps(path, folder):
+    """What is named and drawn there is what is named and drawn by this interpreter; a recorded
+    trace of there is replayed here, and one of here there."""
     seen = tiny.Tiny(None).load(tiny.Tiny(None).samples[0]).observation
     traces = []
     for command in (path, sys.executable):
@@ -79,3 +82,16 @@ def check_taps(path):
     assert {each.word for each in found.differences} == {"EXACT"}
     assert not found.only_here
     assert not found.only_there
+    header = Header(method="tapping", dataset="tiny", sample="s", category="mug", seed=3)
+    write_sample(folder, header, traces[0])
+    theirs = read_sample(samples_in(folder)["s"]).trace
+    assert compare(record(Here(), [seen], 3), theirs).parting.name == "chosen"
+    here = record(Here(), [seen], 3, draws_of(theirs))
+    assert {each.word for each in compare(here, theirs, ["chosen"]).differences} == {"EXACT"}
+    write_sample(folder, header, record(Here(), [seen], 3))
+    ours = read_sample(samples_in(folder)["s"]).trace
+    method = remote_method(workers.spec("tapping:Tapping", command=(path,)))()
+    method.load(None, "cpu")
+    there = record(method, [seen], 3, draws_of(ours))
+    method.remote.close()
+    assert {each.word for each in compare(there, ours, ["chosen"]).differences} == {"EXACT"}

@@ -4,15 +4,15 @@ import sys
 
 import numpy as np
 import pytest
-import tapping as tapping_file
 import tiny
 import workers
+from tapping_here import Here
 
 from pytest_cpas.remote import remote_method
 from pytest_cpas.traces.comparing import compare
 from pytest_cpas.traces.files import Header, read_sample, samples_in, write_sample
 from pytest_cpas.traces.recording import draws_of, record
-from pytest_cpas.types import AnswerError, Hypothesis, MethodInfo, Prediction
+from pytest_cpas.types import AnswerError
 
 DATA = tiny.Tiny(None)
 SEEN = DATA.load(DATA.samples[3]).observation
@@ -70,16 +70,6 @@ def test_what_the_reference_drew_is_replayed_there(remote, tapping):
     method.remote.close()
     assert compare(again, tapping).parting.name == "chosen"  # what it would have drawn itself
     assert compare(again, tapping, ["chosen"]).parting is None
-
-
-class Here(tapping_file.OtherSeed):
-    """The same here, with another generator."""
-
-    info = MethodInfo(**tapping_file.Tapping.info)
-
-    def predict(self, batch, seed):
-        answers = [self.answer({"depth": seen.depth}, seed) for seen in batch]
-        return [Prediction((Hypothesis(**answer),)) for answer in answers]
 
 
 def test_recorded_trace_from_there_is_replayed_here(tapping, tmp_path):

@@ -337,3 +337,27 @@ def test_methods_in_another_interpreter(traced, pytester):
             *RUN, f"--cpas-method={names[1]}", *arguments, f"--cpas-parity={names[0]}", *more
         )
         assert expected in verdict(result, "tapping")
+
+
+def test_recorded_trace_of_another_interpreter_is_replayed_here_and_one_of_here_there(
+    traced, pytester
+):
+    for name in ("tapping.py", "tapping_here.py"):
+        shutil.copy(Path(__file__).parents[1] / "remote" / name, pytester.path)
+    (pytester.path / "parity.toml").write_text('replay = ["chosen"]\n')
+    sides = {
+        "there": f"exec:{shlex.quote(sys.executable)}#tapping:Tapping",
+        "here": "tapping_here:Here",
+    }
+    arguments = ("--cpas-dataset=tiny:Tiny", "-k", "test_parity", "--cpas-limit=2")
+
+    def run(side, *more):
+        return pytester.runpytest_inprocess(*RUN, f"--cpas-method={sides[side]}", *arguments, *more)
+
+    for side, other in (("there", "here"), ("here", "there")):
+        assert run(side, f"--cpas-trace={side}").ret == 0
+        assert "PARTS AT chosen: " in verdict(run(other, f"--cpas-parity={side}"), "tapping")
+        replayed = run(other, f"--cpas-parity={side}", "--cpas-parity-map=parity.toml")
+        assert "EXACT: 12 values of 2 samples are those of the trace" in verdict(
+            replayed, "tapping"
+        )
