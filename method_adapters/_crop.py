@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_cpas.adapting import Camera
+from pytest_cpas.adapting import Camera, tap
 
 Image = NDArray[np.float32]
 
@@ -111,7 +111,7 @@ def depth_pixels(
 
     Raises :class:`NoAnswerError` if there are fewer than ``MIN_DEPTH_PIXELS``.
     """
-    valid = mask & (depth > 0)
+    valid = tap("seen", mask & (depth > 0))
     rows, columns = np.nonzero(valid[crop.slices])
     require_depth_pixels(len(rows))
     return rows, columns

@@ -62,7 +62,6 @@ class PriorMethod(NetworkMethod[Inputs]):
         crop = crop_of(observation.mask)
         tap("crop", crop.limits)
         rows, columns = depth_pixels(observation.mask, observation.depth, crop)
-        tap("pixels", (rows, columns))
         picked = draw("picked", self.pick(len(rows), generator))
         rows, columns = rows[picked], columns[picked]
         depth = tap("depth", self.depth_of(observation))

@@ -81,7 +81,6 @@ class Cass(NetworkMethod[Inputs]):
         crop = crop_around(valid if valid.any() else observation.mask)
         tap("crop", crop.limits)
         rows, columns = depth_pixels(valid, observation.depth, crop)
-        tap("pixels", (rows, columns))
         picked = draw("picked", subset_in_order(len(rows), generator, POINT_COUNT))
         rows, columns = rows[picked], columns[picked]
         v, u = rows + crop.row, columns + crop.column

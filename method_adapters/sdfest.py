@@ -182,7 +182,8 @@ class Sdfest(Needy):
 
         from method_adapters._sdfest_estimation import View
 
-        points = seen.camera.back_project(seen.depth, seen.mask & (seen.depth <= FAR))
+        used = tap("seen", seen.mask & (seen.depth <= FAR))
+        points = seen.camera.back_project(seen.depth, used)
         require_depth_pixels(len(points))
         points = points @ OPENCV_FROM_OPENGL
         directions = points / np.linalg.norm(points, axis=1, keepdims=True)

@@ -8,30 +8,22 @@ which part of the value differs, and what only makes the difference smaller.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import ndimage
 
+from pytest_cpas.traces.fitting import FITS, PER_PARAMETER, Earlier, Real, along, channels, fits
+from pytest_cpas.traces.steps import dropped, functions, of_others
 from pytest_cpas.traces.values import Array, Value
 
 __all__ = ["Explanation", "explain"]
 
-Real = NDArray[np.float64]
-
-#: Values that came before it, with their names.
-_Earlier = Sequence[tuple[str, Real]]
-
-#: The relative difference that may be left, and the same without the mean.
-FITS, FITS_WITHOUT_MEAN = 1e-5, 1e-4
 #: Numbers of a value that are looked at; a larger one is not explained.
 MOST_NUMBERS = 2**23
 #: Values before it that are tried as its parts, and numbers of them together.
 MOST_BEFORE, MOST_BEFORE_NUMBERS = 200, 2**24
-#: Numbers that there must be for each that is fitted.
-PER_PARAMETER = 3
 #: A shift of an image, pixels, that is tried.
 REACH = 2
 #: The share of a difference that what does not fit must remove to be named.
@@ -64,16 +56,17 @@ def explain(own: Value, theirs: Value, before: Sequence[tuple[Value, Value]] = (
         count = int(np.count_nonzero(~np.isfinite(a)))
         return Explanation(near=[f"{count} of its {a.size} numbers are not finite"])
     earlier = _earlier(before, own.shape)
-    for alike in ((_rearranged,), (_of_others, _rescaled), (_per_channel,)):
+    for alike in ((_rearranged,), (of_others, _rescaled, _changed), (_per_channel,)):
         fits = [*dict.fromkeys(words for ask in alike for words in ask(a, b, earlier))]
         if fits:
             return Explanation(fits=fits)
     if rounded := _rounded(own.kept, theirs.kept):
         return Explanation(fits=rounded)
-    return Explanation(near=[*_where(a, b), *_moved(a, b), *_small(a, b, kinds)])
+    near = [*_where(a, b), *_steps(a, b), *_moved(a, b), *_small(a, b, kinds)]
+    return Explanation(near=near)
 
 
-def _earlier(before: Sequence[tuple[Value, Value]], shape: tuple[int, ...]) -> _Earlier:
+def _earlier(before: Sequence[tuple[Value, Value]], shape: tuple[int, ...]) -> Earlier:
     """The values before it that are whole and hold numbers: those of its shape, with or without an
     axis of length 1, then the last of the others. Of several that are the same, one."""
     found: list[tuple[str, Real]] = []
@@ -93,17 +86,7 @@ def _earlier(before: Sequence[tuple[Value, Value]], shape: tuple[int, ...]) -> _
     return found
 
 
-def fits(a: Array, b: Array) -> bool:
-    """Whether a is b, but for float noise."""
-    if a.shape != b.shape:
-        return False
-    left, mean = float(np.linalg.norm(a - b)), b.mean() if b.size else 0.0
-    scale, varying = float(np.linalg.norm(b)), float(np.linalg.norm(b - mean))
-    # of constant ones the mean is all there is
-    return left <= FITS * scale and (left <= FITS_WITHOUT_MEAN * varying or varying <= FITS * scale)
-
-
-def _rearranged(a: Real, b: Real, _: _Earlier) -> Iterator[str]:
+def _rearranged(a: Real, b: Real, _: Earlier) -> Iterator[str]:
     """The same numbers in another order, or of another sign."""
     if a.shape != b.shape and a.size == b.size and fits(a.ravel(), b.ravel()):
         yield f"the same numbers in the same order, as {a.shape} for {b.shape}"
@@ -133,15 +116,15 @@ def _rearranged(a: Real, b: Real, _: _Earlier) -> Iterator[str]:
         yield from _shifted(a, b, axes)
     for axis, length in enumerate(b.shape):
         if 2 <= length <= 16 and b.size >= PER_PARAMETER * length:
-            signs = np.sign((_channels(a, axis) * _channels(b, axis)).sum(1))
+            signs = np.sign((channels(a, axis) * channels(b, axis)).sum(1))
             flipped = np.flatnonzero(signs < 0)
-            if 0 < len(flipped) < length and fits(a, b * _along(signs, axis, b.ndim)):
+            if 0 < len(flipped) < length and fits(a, b * along(signs, axis, b.ndim)):
                 yield f"along axis {axis} the sign of {flipped.tolist()} is the other one"
 
 
 def _permuted(a: Real, b: Real, axis: int) -> bool:
     """Whether the slices along an axis are the same in another order."""
-    rows, others = _channels(a, axis), _channels(b, axis)
+    rows, others = channels(a, axis), channels(b, axis)
     weights = np.random.default_rng(0).standard_normal(rows.shape[1])
     order, other = np.argsort(rows @ weights, kind="stable"), np.argsort(others @ weights)
     return fits(rows[order], others[other])
@@ -162,95 +145,31 @@ def _shifted(a: Real, b: Real, axes: tuple[int, ...]) -> Iterator[str]:
             other[axis] = slice(max(step, 0), length - max(-step, 0))
         if fits(a[tuple(mine)], b[tuple(other)]):
             yield (
-                f"shifted by {list(steps)} along axes {list(axes)}, where both have it: a crop or"
-                " a padding beside the place"
+                f"shifted by {list(steps)} along axes {list(axes)}, where both have it, as by a"
+                " crop or a padding beside the place"
             )
 
 
-def _of_others(a: Real, b: Real, earlier: _Earlier) -> Iterator[str]:
-    """A step left out or too many, as values before it show."""
-    if a.shape == b.shape and b.min() < 0 <= a.min() and fits(a, np.maximum(b, 0)):
-        yield "negative numbers are 0: a ReLU that the reference does not have here"
-    if a.shape == b.shape and a.min() < 0 <= b.min() and fits(np.maximum(a, 0), b):
-        yield "the reference is this with its negative numbers as 0: a ReLU is missing"
-    for name, x in earlier:
-        for words, x_as in _broadcasts(name, x, b.shape):
-            if a.shape == b.shape and fits(b - a, x_as):
-                yield f"{words} is added in the reference, and not here"
-            elif a.shape == b.shape and fits(a - b, x_as):
-                yield f"{words} is added here, and not in the reference"
-            elif fits(a, x_as):
-                yield f"it is {words} unchanged: a step is left out"
-        if x.shape == a.shape == b.shape:
-            yield from _softmaxes(a, b, name, x)
-        elif x.ndim == a.ndim >= 3 and x.shape[:-2] == a.shape[:-2] and a.shape == b.shape:
-            yield from _resizings(a, b, name, x)
-
-
-def _broadcasts(name: str, x: Real, shape: tuple[int, ...]) -> Iterator[tuple[str, Real]]:
-    if x.shape == shape:
-        yield name, x
-    elif x[None].shape == shape:
-        yield name, x[None]
-    elif x.shape[1:] == shape and len(x) == 1:
-        yield name, x[0]
-
-
-def _softmaxes(a: Real, b: Real, name: str, x: Real) -> Iterator[str]:
-    if max(a.max(), b.max()) > 1 + FITS:
+def _changed(a: Real, b: Real, _: Earlier) -> Iterator[str]:
+    """Each number on its own, or a mask at its edge."""
+    yield from functions(a, b)
+    yield from dropped(a, b)
+    is_mask = b.ndim == 2 and all(((x == 0) | (x == 1)).all() for x in (a, b))
+    if not is_mask or a.shape != b.shape:
         return
-    logarithm = max(a.max(), b.max()) <= 0
-    kind = "logarithm of the softmax" if logarithm else "softmax"
-    made = {axis: _softmax(x, axis) for axis in range(x.ndim) if x.shape[axis] > 1}
-    if logarithm:
-        a, b = np.exp(a), np.exp(b)
-    for own, theirs in itertools.permutations(made, 2):
-        if fits(a, made[own]) and fits(b, made[theirs]):
-            yield f"the {kind} of {name} along axis {own}, in the reference along {theirs}"
+    for pixels, (words, diagonal) in itertools.product((1, 2, 3), (("", 1), (" and diagonal", 2))):
+        shape = ndimage.generate_binary_structure(2, diagonal)
+        wider, narrower = (
+            change(b.astype(bool), shape, iterations=pixels)
+            for change in (ndimage.binary_dilation, ndimage.binary_erosion)
+        )
+        told = f"by {pixels} pixel{'s' if pixels > 1 else ''}, with the neighbours beside{words}"
+        for changed, how in ((wider, "dilated"), (narrower, "eroded")):
+            if np.array_equal(a, changed):
+                yield f"the reference's mask {how} {told}"
 
 
-def _softmax(x: Real, axis: int) -> Real:
-    share: Real = np.exp(x - x.max(axis=axis, keepdims=True))
-    share /= share.sum(axis=axis, keepdims=True)
-    return share
-
-
-def _resizings(a: Real, b: Real, name: str, x: Real) -> Iterator[str]:
-    size = (a.shape[-2], a.shape[-1])
-    made = {words: resize(x, size) for words, resize in RESIZINGS.items()}
-    for own, theirs in itertools.permutations(made, 2):
-        if fits(a, made[own]) and fits(b, made[theirs]):
-            yield f"{name} resized {own}, in the reference {theirs}"
-
-
-def _bilinear(x: Real, size: tuple[int, int], aligned: bool) -> Real:
-    for axis, length in zip((-2, -1), size, strict=True):
-        before = x.shape[axis]
-        if aligned:
-            at = np.arange(length) * ((before - 1) / max(length - 1, 1))
-        else:
-            at = ((np.arange(length) + 0.5) * (before / length) - 0.5).clip(0, before - 1)
-        low = np.floor(at).astype(int)
-        weight = _along(at - low, axis % x.ndim, x.ndim)
-        high = np.minimum(low + 1, before - 1)
-        x = x.take(low, axis) * (1 - weight) + x.take(high, axis) * weight
-    return x
-
-
-def _nearest(x: Real, size: tuple[int, int]) -> Real:
-    for axis, length in zip((-2, -1), size, strict=True):
-        x = x.take(np.arange(length) * x.shape[axis] // length, axis)
-    return x
-
-
-RESIZINGS: dict[str, Callable[[Real, tuple[int, int]], Real]] = {
-    "bilinearly with corners aligned": lambda x, size: _bilinear(x, size, True),
-    "bilinearly with corners not aligned": lambda x, size: _bilinear(x, size, False),
-    "to the nearest": _nearest,
-}
-
-
-def _rescaled(a: Real, b: Real, _: _Earlier) -> Iterator[str]:
+def _rescaled(a: Real, b: Real, _: Earlier) -> Iterator[str]:
     """One factor or one offset for all, or one factor for each of a few."""
     if a.shape != b.shape:
         return
@@ -263,15 +182,15 @@ def _rescaled(a: Real, b: Real, _: _Earlier) -> Iterator[str]:
             yield f"{offset:+.6g} is added to every number"
     for axis, length in enumerate(b.shape):
         if 2 <= length <= 16 and b.size >= PER_PARAMETER * length and b.ndim > 1:
-            own, theirs = _channels(a, axis), _channels(b, axis)
+            own, theirs = channels(a, axis), channels(b, axis)
             energies = (theirs * theirs).sum(1)
             if energies.all():
                 factors = (own * theirs).sum(1) / energies
-                if np.ptp(factors) > FITS and fits(a, b * _along(factors, axis, b.ndim)):
+                if np.ptp(factors) > FITS and fits(a, b * along(factors, axis, b.ndim)):
                     words = ", ".join(f"{factor:.6g}" for factor in factors)
                     yield f"scaled along axis {axis} by {words}"
             offsets = (own - theirs).mean(1)
-            if np.ptp(offsets) > 0 and fits(a, b + _along(offsets, axis, b.ndim)):
+            if np.ptp(offsets) > 0 and fits(a, b + along(offsets, axis, b.ndim)):
                 words = ", ".join(f"{offset:+.6g}" for offset in offsets)
                 yield f"along axis {axis}, {words} are added"
 
@@ -285,14 +204,14 @@ def _unit(factor: float) -> str:
     return ""
 
 
-def _per_channel(a: Real, b: Real, _: _Earlier) -> Iterator[str]:
+def _per_channel(a: Real, b: Real, _: Earlier) -> Iterator[str]:
     """Each channel scaled and offset, of colours also in another order."""
     if a.shape != b.shape:
         return
     for axis, length in enumerate(b.shape):
         if length < 2 or b.size < 2 * PER_PARAMETER * length:
             continue
-        own, theirs = _channels(a, axis), _channels(b, axis)
+        own, theirs = channels(a, axis), channels(b, axis)
         orders = itertools.permutations(range(length)) if length == 3 else [tuple(range(length))]
         for order in orders:
             moved = _affine(own, theirs[list(order)])
@@ -353,13 +272,25 @@ def _where(a: Real, b: Real) -> Iterator[str]:
     if differs.all() or not differs.any():
         return
     for axis, length in enumerate(a.shape):
-        touched = np.flatnonzero(_channels(differs, axis).any(1))
+        touched = np.flatnonzero(channels(differs, axis).any(1))
         if 0 < len(touched) <= length // 2 or 0 < len(touched) < length <= 16:
             first, last = int(touched[0]), int(touched[-1])
             span = f"{first} to {last}" if last > first else f"{first}"
             count = f", {len(touched)} of them," if len(touched) < last - first + 1 else ""
             yield f"along axis {axis}, of {length}, it differs at {span}{count} alone"
     yield f"{np.count_nonzero(differs)} of its {differs.size} numbers differ"
+
+
+def _steps(a: Real, b: Real) -> Iterator[str]:
+    """Numbers that were rounded."""
+    if a.shape != b.shape:
+        return
+    for step, words in ((1.0, "whole numbers"), (1e-3, "thousandths"), (1 / 255, "255ths")):
+        own, theirs = np.rint(a / step), np.rint(b / step)
+        exact = all((np.abs(x / step - whole) < 0.01).all() for x, whole in ((a, own), (b, theirs)))
+        if exact and np.abs(theirs).max() > 1 and np.abs(own - theirs).max() == 1:
+            yield f"all are {words}, and none is off by more than one, as if rounded another way"
+            return
 
 
 def _moved(a: Real, b: Real) -> Iterator[str]:
@@ -394,15 +325,3 @@ def _small(a: Real, b: Real, kinds: str) -> Iterator[str]:
             f"{size:.1e} is no more than one rounding to half precision or TF32 makes,"
             f" {HALF_STEP:.1e}"
         )
-
-
-def _channels(x: Any, axis: int) -> Any:
-    """(length of the axis, all others)."""
-    return np.moveaxis(x, axis, 0).reshape(x.shape[axis], -1)
-
-
-def _along(values: Real, axis: int, ndim: int) -> Real:
-    """One number for each place of an axis, to multiply with."""
-    shape = [1] * ndim
-    shape[axis] = -1
-    return values.reshape(shape)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from pytest_cpas._files import toml_string
-from pytest_cpas.traces.explaining import fits
+from pytest_cpas.traces.fitting import fits
 from pytest_cpas.traces.maps import Named
 from pytest_cpas.traces.recording import Trace
 from pytest_cpas.traces.values import Array, Value
@@ -56,8 +56,9 @@ def propose(own: Trace, theirs: Trace) -> Proposal:
             found[_told(Named(reference=theirs_value.name, here=best.name, **change))] = True
     reordered = list(_reordered(own, theirs))
     found |= {_told(named): True for named in reordered}
+    ends_agree = _ends_agree(own, theirs)
     for name in _other_things(own, theirs, {named.here for named in reordered}):
-        found[json.dumps({"ignore": name})] = True
+        found[json.dumps({"ignore": name})] = ends_agree
     if not found and not _agree(own, theirs):
         for mine, other in _by_shape(here, there):
             found[_told(Named(reference=other.name, here=mine.name))] = False
@@ -68,11 +69,26 @@ def map_text(proposals: Sequence[Proposal]) -> str:
     """The text of a ``parity.toml`` from what samples propose: what all of them do."""
     count = Counter(told for proposal in proposals for told in proposal)
     by_numbers = {told for proposal in proposals for told, sure in proposal.items() if sure}
+    unsure = {told for proposal in proposals for told, sure in proposal.items() if not sure}
     lines = ["# Proposed by --cpas-parity-propose; read it before you use it.", ""]
     agreed = [told for told, times in count.items() if times == len(proposals)]
-    if ignored := [json.loads(told)["ignore"] for told in agreed if "ignore" in json.loads(told)]:
-        lines += ["# Of these names are other values here: what comes after them is the same."]
-        lines += ["ignore = [", *(f"    {toml_string(name)}," for name in ignored), "]", ""]
+    ignored = {told: json.loads(told)["ignore"] for told in agreed if "ignore" in json.loads(told)}
+    for words, sign, names in (
+        (
+            "# Of these names are other values here: what comes after them is the same.",
+            "",
+            [name for told, name in ignored.items() if told not in unsure],
+        ),
+        (
+            "# Either of these names are other values here, or here the two part: of what comes\n"
+            "# after them some is the same, and some is not.",
+            "# ",
+            [name for told, name in ignored.items() if told in unsure],
+        ),
+    ):
+        if names:
+            listed = ["ignore = [", *(f"    {toml_string(name)}," for name in names), "]"]
+            lines += [words, *(f"{sign}{line}" for line in listed), ""]
     for sure in (True, False):
         part = [t for t in agreed if (t in by_numbers) == sure and "ignore" not in json.loads(t)]
         if part and not sure:
@@ -160,6 +176,16 @@ def _other_things(own: Trace, theirs: Trace, known: set[str]) -> list[str]:
     differing = [value.name for (value, _), agrees in zip(shared[:last], same, strict=False)
                  if not agrees]  # fmt: skip
     return [name for name in dict.fromkeys(differing) if name not in known]
+
+
+def _ends_agree(own: Trace, theirs: Trace) -> bool:
+    """Whether both answers are the same or, of traces without any, the last value that both have:
+    then nothing that differs before it is a fault."""
+    others = theirs.by_key()
+    shared = [(value, others[value.key]) for value in own.values if value.key in others]
+    shared = [pair for pair in shared if pair[0].kept.dtype.kind in "fiub"]
+    answers = [pair for pair in shared if pair[0].kind == "answer"]
+    return all(_same(*pair) for pair in answers or shared[-1:])
 
 
 def _same(own: Value, theirs: Value) -> bool:

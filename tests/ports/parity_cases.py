@@ -16,6 +16,7 @@ import asmnet_cases
 import cases
 import icaps_cases
 import numpy as np
+import plausible
 import sdfest_cases
 import torch
 from torch import nn
@@ -64,10 +65,13 @@ def _icaps() -> icaps.ICaps:
 
 
 def _sdfest() -> sdfest.Sdfest:
-    """With the recipe's weights, and a few steps of refinement."""
+    """With an ellipsoid where the points are, and a few steps of refinement."""
     made = sdfest_cases.method()
     made.iterations = 3
-    model = sdfest.Model(*sdfest_cases.networks("released"), rotation_grid(1), np.eye(3))
+    networks = copy.deepcopy(sdfest_cases.networks("released"))
+    for network, weights in zip(networks, plausible.sdfest(), strict=True):
+        network.load_state_dict(weights)
+    model = sdfest.Model(*networks, rotation_grid(1), np.eye(3))
     made._models = dict.fromkeys(made._models, model)
     return made
 
@@ -129,7 +133,7 @@ def record_all(names: Sequence[str]) -> None:
 Patch = Callable[..., None]
 
 
-def _network(name: str) -> nn.Module:
+def network(name: str) -> nn.Module:
     if name == "asmnet":
         return asmnet_cases.network(observation(name).category)
     return cases.network(name)
@@ -275,11 +279,11 @@ def _turned(model: sdfest.Model) -> sdfest.Model:
 
 
 def _part(name: str, path: str) -> Callable[[], nn.Module]:
-    return lambda: _network(name).get_submodule(path)
+    return lambda: network(name).get_submodule(path)
 
 
 def _of_init(path: str) -> Callable[[], nn.Module]:
-    return lambda: sdfest_cases.networks("released")[0].get_submodule(path)
+    return lambda: method("sdfest")._models["bowl"].init.get_submodule(path)
 
 
 _FINAL = "estimator.encoding.cnn.model.final.1"

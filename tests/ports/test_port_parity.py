@@ -4,6 +4,7 @@ import itertools
 import timeit
 
 import cases
+import further_faults
 import numpy as np
 import parity_cases
 import pytest
@@ -68,6 +69,21 @@ def test_fault_is_located(monkeypatch, name, fault, plant, place):
     plant(monkeypatch.setattr)
     first = str(verdict(parity_cases.trace(name), theirs)).partition("\n")[0]
     assert first.startswith(f"PARTS AT {place}: "), first
+
+
+@pytest.mark.minutes
+@pytest.mark.parametrize(
+    ("name", "plant", "place", "words"),
+    [pytest.param(*fault, id=f"{fault[0]}-{fault[1].__name__}") for fault in further_faults.FAULTS],
+)
+def test_further_fault_is_located(monkeypatch, name, plant, place, words):
+    """And explained, where it can be."""
+    theirs = parity_cases.reference(name)
+    plant(monkeypatch.setattr)
+    told = str(verdict(parity_cases.trace(name), theirs))
+    assert told.startswith(f"PARTS AT {place}: "), told
+    explained = [line.strip() for line in told.splitlines() if "explained by" in line]
+    assert any(words in line for line in explained) if words else not explained, told
 
 
 def test_fault_is_located_by_the_recorded_trace(monkeypatch):

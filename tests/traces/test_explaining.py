@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pytest_cpas.traces.explaining import RESIZINGS, explain
+from pytest_cpas.traces.explaining import explain
+from pytest_cpas.traces.steps import RESIZINGS
 from pytest_cpas.traces.values import Value
 
 RANDOM = np.random.default_rng(0)
@@ -28,6 +29,13 @@ def softmax(x, axis):
     return share / share.sum(axis=axis, keepdims=True)
 
 
+KEPT = RANDOM.random(POINTS.shape) > 0.4
+DOT = np.zeros((12, 12), bool)
+DOT[5, 6] = True
+CROSS = DOT.copy()
+CROSS[4:7, 6] = CROSS[5, 5:8] = True
+SQUARE = np.zeros((12, 12), np.uint8)
+SQUARE[3:8, 4:9] = 1
 LARGE = {name: resize(SMALL, (12, 18)) for name, resize in RESIZINGS.items()}
 ALIGNED, LOOSE, NEAREST = LARGE.values()
 
@@ -68,6 +76,18 @@ MISTAKES = {
         FEATURES,
         "ones of bfloat16",
     ),
+    "sigmoid missing": (POINTS, 1 / (1 + np.exp(-POINTS)), "the sigmoid of this, which is left"),
+    "exponential too many": (np.exp(POINTS), POINTS, "it is the exponential of the reference's"),
+    "root": (np.abs(POINTS), POINTS**2, "the reference is the square of this"),
+    "dropout": (
+        2 * POINTS * KEPT,
+        POINTS,
+        f"{600 - KEPT.sum()} of its 600 numbers are 0, where the reference's are not, and the"
+        " others 2 times those: dropout is on",
+    ),
+    "mask dilated": (CROSS, DOT, "dilated by 1 pixel, with the neighbours beside"),
+    "mask dilated by 2": (SQUARE, DOT, "dilated by 2 pixels, with the neighbours beside and diag"),
+    "mask eroded": (DOT, CROSS, "eroded by 1 pixel, with the neighbours beside"),
     "activation missing": (FEATURES, np.maximum(FEATURES, 0), "a ReLU is missing"),
     "activation too many": (
         np.maximum(FEATURES, 0),
@@ -108,6 +128,18 @@ def test_mistake_is_named(name):
             "prior resized bilinearly with corners aligned, in the reference bilinearly with",
         ),
         (NEAREST, LOOSE, SMALL, "prior resized to the nearest, in the reference bilinearly"),
+        (
+            BEFORE.mean(2),
+            BEFORE.max(2),
+            BEFORE,
+            "the mean of prior along axis 2, in the reference the largest",
+        ),
+        (
+            BEFORE.sum(1, keepdims=True),
+            BEFORE.mean(1, keepdims=True),
+            BEFORE,
+            "the sum of prior along axis 1, in the reference the mean",
+        ),
     ],
 )
 def test_mistake_is_named_by_what_came_before(own, theirs, before, words):
@@ -164,6 +196,20 @@ def test_part_that_differs_is_named():
     assert "along axis 1, of 40, it differs at 30 to 39 alone" in told.near
     assert "along axis 2, of 50, it differs at 7 alone" in told.near
     assert "10 of its 2000 numbers differ" in told.near
+
+
+@pytest.mark.parametrize(
+    ("step", "words"), [(1, "whole numbers"), (0.001, "thousandths"), (1 / 255, "255ths")]
+)
+def test_another_rounding_is_known(step, words):
+    exact = RANDOM.uniform(0, 300, (20, 30))
+    own, theirs = ((step * f(exact)).astype(np.float32) for f in (np.floor, np.rint))
+    told = f"all are {words}, and none is off by more than one, as if rounded another way"
+    assert told in found(own, theirs).near
+    assert told not in found(own + np.float32(2 * step) * (exact > 290), theirs).near
+    assert not any("rounded" in each for each in found(exact, exact + 0.3 * step).near)
+    # of a mask everything is off by one
+    assert not any("rounded" in each for each in found(exact > 5, exact > 7).near)
 
 
 def test_part_of_a_pixel_is_measured():

@@ -79,6 +79,21 @@ def test_name_of_something_else_is_ignored(tmp_path):
     assert compared.parting is None
 
 
+def test_branch_that_parts_is_not_ignored_although_another_agrees(tmp_path):
+    """What comes after it in order need not come of it."""
+    values = ("a", X), ("norm", Y), ("other", Q), ("end", X + 1)
+    own, theirs = trace(*values), trace(("a", X), ("norm", Y - X), ("other", Q), ("end", X + 2))
+    made, compared = found(tmp_path, own, theirs)
+    assert made.ignore == ()
+    assert compared.parting.name == "norm"
+    text = map_text([propose(own, theirs)])
+    assert '# ignore = [\n#     "norm",\n# ]\n' in text
+    # in another sample the end is the same: it is not sure of both
+    sure = propose(own, trace(("a", X), ("norm", Y - X), ("other", Q), ("end", X + 1)))
+    assert map_text([sure, propose(own, theirs)]) == text
+    assert '\nignore = [\n    "norm",\n]\n' in map_text([sure, sure])
+
+
 def test_what_parts_is_not_ignored(tmp_path):
     made, compared = found(tmp_path, trace(("a", X), ("b", Y)), trace(("a", X), ("b", Y - X)))
     assert made.ignore == ()
