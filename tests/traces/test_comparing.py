@@ -58,6 +58,13 @@ def test_what_is_not_finite_may_be_the_same():
     assert word(value(odd * np.float32(1 + 1e-6)), value(odd)) == "FLOAT NOISE"
 
 
+@pytest.mark.parametrize("theirs", [0.0676, [0.0676], np.full((3, 4), 0.0676)], ids=str)
+def test_last_bit_of_a_single_number_or_of_a_constant_is_noise(theirs):
+    theirs = np.array(theirs)
+    assert word(value(np.nextafter(theirs, 1)), value(theirs)) == "FLOAT NOISE"
+    assert word(value(theirs * (1 + 3e-5)), value(theirs)) == "PARTS"
+
+
 def test_mean_does_not_hide_a_difference():
     assert word(value(1000 + X), value(1000 + X[::-1])) == "PARTS"
     shifted = (1 + 3e-6) * 1000 + X.astype(float)
