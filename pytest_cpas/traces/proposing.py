@@ -22,6 +22,7 @@ from pytest_cpas.traces.fitting import fits
 from pytest_cpas.traces.maps import Named
 from pytest_cpas.traces.recording import Trace
 from pytest_cpas.traces.values import Array, Value
+from pytest_cpas.types import DataError
 
 __all__ = ["Proposal", "map_text", "propose"]
 
@@ -44,16 +45,20 @@ def propose(own: Trace, theirs: Trace) -> Proposal:
     there = _candidates(theirs, ours)
     found: dict[str, bool] = {}
     taken: set[str] = set()
+    later = _later_calls(own), _later_calls(theirs)
     for theirs_value in there:
-        matches = [
-            (value, change)
-            for value in here
-            if value.name not in taken and (change := _change(value, theirs_value)) is not None
-        ]
+        matches: list[tuple[int, float, Named]] = []
+        for value in here:
+            if value.name in taken or (change := _change(value, theirs_value)) is None:
+                continue
+            named = Named(reference=theirs_value.name, here=value.name, **change)
+            agreeing = _calls_that_agree(named, *later)
+            if agreeing is not None:
+                matches.append((agreeing, _alike(value.name, theirs_value.name), named))
         if matches:
-            best, change = max(matches, key=lambda m: _alike(m[0].name, theirs_value.name))
-            taken.add(best.name)
-            found[_told(Named(reference=theirs_value.name, here=best.name, **change))] = True
+            best = max(matches, key=lambda match: match[:2])[2]
+            taken.add(best.here)
+            found[_told(best)] = True
     reordered = list(_reordered(own, theirs))
     found |= {_told(named): True for named in reordered}
     ends_agree = _ends_agree(own, theirs)
@@ -144,6 +149,37 @@ def _change(own: Value, theirs: Value) -> dict[str, Any] | None:
     if a.shape != b.shape and fits(a.ravel(), b.ravel()):
         return {"reshape": list(a.shape)}
     return None
+
+
+def _later_calls(trace: Trace) -> Mapping[str, Sequence[Value]]:
+    """By name the values of all calls but the first."""
+    found = defaultdict[str, list[Value]](list)
+    for value in trace.values:
+        if value.call > 1 and value.is_whole:
+            found[value.name].append(value)
+    return found
+
+
+def _calls_that_agree(
+    named: Named,
+    own: Mapping[str, Sequence[Value]],
+    theirs: Mapping[str, Sequence[Value]],
+) -> int | None:
+    """How many of the later calls are the same under a name; None if one is of another shape, so
+    that it is another thing."""
+    calls, agreeing = {value.call: value for value in own.get(named.here, ())}, 0
+    for value in theirs.get(named.reference, ()):
+        mine = calls.get(value.call)
+        if mine is None:
+            continue
+        try:
+            turned = named.of(value)
+        except DataError:
+            return None
+        if turned.shape != mine.shape:
+            return None
+        agreeing += _same(mine, turned)
+    return agreeing
 
 
 def _reordered(own: Trace, theirs: Trace) -> Iterator[Named]:

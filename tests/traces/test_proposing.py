@@ -65,6 +65,25 @@ def test_of_several_the_one_whose_name_is_most_alike(tmp_path):
     }
 
 
+def test_name_that_is_called_for_other_things_is_not_proposed(tmp_path):
+    """Of a name that stands for several of the reference's, the first call alone is the same."""
+    own = trace(("pooled", X), ("pooled", Q), ("pooled", Y), ("end", X - Y))
+    theirs = trace(("first", X), ("second", Q), ("first", Y), ("end", X - Y))
+    made, compared = found(tmp_path, own, theirs)
+    assert made.values == ()
+    assert compared.parting is None
+
+
+def test_of_several_the_one_that_is_the_same_at_every_call(tmp_path):
+    own = trace(("model.block", X), ("net.other", X), ("model.block", Y), ("net.other", Y - X))
+    made, _ = found(tmp_path, own, trace(("net.block", X), ("net.block", Y - X)))
+    assert made.values == (Named(reference="net.block", here="net.other"),)
+    # what parts at a later call is still that value
+    made, compared = found(tmp_path, trace(("a", X), ("a", Y)), trace(("b", X), ("b", Y - X)))
+    assert made.values == (Named(reference="b", here="a"),)
+    assert compared.parting.name == "a, call 2"
+
+
 def test_calls_in_another_order(tmp_path):
     own = trace(("m", X), ("m", Y), ("m", X + Y))
     made, compared = found(tmp_path, own, trace(("m", Y), ("m", X + Y), ("m", X)))
