@@ -51,10 +51,10 @@ def propose(own: Trace, theirs: Trace) -> Proposal:
         for value in here:
             if value.name in taken or (change := _change(value, theirs_value)) is None:
                 continue
-            named = Named(reference=theirs_value.name, here=value.name, **change)
-            agreeing = _calls_that_agree(named, *later)
+            entry = Named(reference=theirs_value.name, here=value.name, **change)
+            agreeing = _calls_that_agree(entry, *later)
             if agreeing is not None:
-                matches.append((agreeing, _alike(value.name, theirs_value.name), named))
+                matches.append((agreeing, _alike(value.name, theirs_value.name), entry))
         if matches:
             best = max(matches, key=lambda match: match[:2])[2]
             taken.add(best.here)
