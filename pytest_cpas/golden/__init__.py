@@ -44,6 +44,7 @@ from pytest_cpas.golden.tables import (
     TableSample,
     describe,
     differences,
+    other_conditions,
 )
 from pytest_cpas.golden.texts import FORMAT
 from pytest_cpas.golden.words import Word
@@ -73,6 +74,7 @@ __all__ = [
     "keep_noise",
     "left_over",
     "orphans",
+    "other_conditions",
     "published_cells",
     "published_curves",
     "published_datasets",

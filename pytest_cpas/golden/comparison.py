@@ -28,7 +28,7 @@ from pytest_cpas.golden.pairing import (
     shared_columns,
 )
 from pytest_cpas.golden.spread import ALARM, DOUBT, Spread
-from pytest_cpas.golden.tables import RunTable, differences
+from pytest_cpas.golden.tables import RunTable, differences, other_conditions
 from pytest_cpas.golden.words import Word
 from pytest_cpas.protocols import CountColumn, asked_for
 from pytest_cpas.reading.words import decimal
@@ -71,7 +71,7 @@ def compare(
                 " right, record them with --snapshot-update",
             )
         ]
-    stale = differences(golden.identity, new.identity)
+    stale = other_conditions(golden, new)
     if stale:
         return [
             Verdict(

@@ -27,6 +27,9 @@ from pytest_cpas.types.declarations import TOLERANCE
 
 __all__ = ["Drift", "drifts", "may_not_move", "other_platform"]
 
+#: What an identity tells of a platform.
+_DEVICE = {"device"}
+
 #: Distributions that compute nothing: another version of one is no other platform.
 _NO_NUMBERS = {
     "absl-py", "attrs", "certifi", "charset-normalizer", "click", "colorama", "cycler", "execnet",
@@ -156,6 +159,8 @@ def other_platform(golden: RunTable, new: RunTable, category: str) -> list[str]:
         }
         for table in (golden, new)
     )
+    if golden.identity.keys() >= _DEVICE <= new.identity.keys():
+        then["device"], now["device"] = golden.identity["device"], new.identity["device"]
     return differences(then, now)
 
 

@@ -313,6 +313,15 @@ def differences(golden: Mapping[str, str], run: Mapping[str, str]) -> list[str]:
     ]
 
 
+def other_conditions(golden: RunTable, run: RunTable) -> list[str]:
+    """What differs, in words, of what must agree for two tables to be comparable: their identities,
+    but for the device, where both tell of one. Another device is another platform."""
+    then, now = dict(golden.identity), dict(run.identity)
+    if "device" in then and "device" in now:
+        del then["device"], now["device"]
+    return differences(then, now)
+
+
 def _recordable_text(text: str | None) -> str | None:
     """A reason as a table keeps it: not endless, and of characters that every reader takes."""
     if text is None:

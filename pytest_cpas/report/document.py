@@ -37,7 +37,7 @@ from pytest_cpas.documents import (
     VerdictDocument,
 )
 from pytest_cpas.evaluation import Run
-from pytest_cpas.golden import RunTable, TableSample, differences, shared_columns
+from pytest_cpas.golden import RunTable, TableSample, other_conditions, shared_columns
 from pytest_cpas.golden.published import (
     count_problems,
     published_cells,
@@ -126,7 +126,7 @@ def run_document(
     measured; ``parity``: what :mod:`pytest_cpas.traces` found; ``samples``: whether they are
     listed.
     """
-    if golden is not None and differences(golden.identity, new.identity):
+    if golden is not None and other_conditions(golden, new):
         golden = None
     published = published_name(run.dataset, run.listed)
     problems = [

@@ -22,8 +22,8 @@ from pytest_cpas.golden import (
     GoldenError,
     Noise,
     RunTable,
-    differences,
     keep_noise,
+    other_conditions,
     read_golden,
 )
 
@@ -120,7 +120,7 @@ def learn_noise(golden: Path, runs: Mapping[str, Sequence[Path]]) -> list[str]:
 
 def _check_comparable(golden: RunTable, run: RunTable, platform_words: str) -> None:
     where = f"{run.method} on {run.dataset} ({platform_words})"
-    if told := differences(golden.identity, run.identity):
+    if told := other_conditions(golden, run):
         raise GoldenError(f"{where}: made under other conditions: {'; '.join(told)}")
     for category in sorted(golden.listed):
         then = golden.provenance_of(category)

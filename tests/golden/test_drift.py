@@ -315,3 +315,38 @@ def test_the_tolerance_that_was_declared_is_kept(tolerance, word):
     assert words(compare(golden, moved))["mug"] is word
     hair = table(position_m=dict.fromkeys(MUGS, 5e-6))
     assert words(compare(GOLDEN, hair))["mug"] is Word.MATCHES
+
+
+def on(device: str, made: RunTable) -> RunTable:
+    return replace(made, identity={**made.identity, "device": device})
+
+
+def test_another_device_is_another_platform():
+    golden = on("cpu", GOLDEN)
+    moved = turned(0.03)
+    alternating = {name: step * (-1) ** i for i, (name, step) in enumerate(moved.items())}
+    same, elsewhere = (
+        compare(golden, on(device, table(rotation_deg=alternating))) for device in ("cpu", "cuda")
+    )
+    assert words(same) == {"can": Word.MATCHES, "mug": Word.CHANGED}
+    assert words(elsewhere) == {"can": Word.MATCHES, "mug": Word.MATCHES}
+    assert f"{ELSEWHERE} (device was cpu, now cuda)" in elsewhere[1].details
+
+
+def test_what_is_worse_on_another_device_is_worse():
+    verdicts = compare(on("cpu", GOLDEN), on("cuda", table(rotation_deg=turned(0.03))))
+    assert words(verdicts)["mug"] is Word.REGRESSED
+
+
+def test_whose_device_is_not_known_is_not_comparable():
+    [verdict] = compare(on("cpu", GOLDEN), table())
+    assert verdict.word is Word.STALE
+    assert "device was cpu, now not given" in verdict.details
+
+
+def test_other_conditions_are_other_ones_on_any_device():
+    new = replace(GOLDEN, identity={"data": "y", "device": "cuda"})
+    [verdict] = compare(on("cpu", GOLDEN), new)
+    assert verdict.word is Word.STALE
+    assert "data was x, now y" in verdict.details
+    assert "device" not in verdict.details

@@ -100,6 +100,14 @@ def test_only_tables_are_compared(own, recorded, pytester):
     result.stdout.fnmatch_lines(["*TypeError: cpas_golden is compared with a dict, expected a*"])
 
 
+def test_another_device_is_another_platform(recorded):
+    result = recorded("Perfect", "--cpas-device=cuda", "--cpas-require-golden")
+    assert result.ret == 0
+    unfolded(result).fnmatch_lines(
+        ["*another platform than that of the recording (device was cpu, now cuda)*"]
+    )
+
+
 # -- seeds ------------------------------------------------------------------------------------
 
 
