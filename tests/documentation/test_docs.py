@@ -43,6 +43,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 BY_ENVIRONMENT = ("cpas_data", "cpas_weights")
 #: Defaults that the parser does not hold.
 ELSEWHERE = {
+    "cpas_batch": "as many as each declares",
     "cpas_alarm": "ini cpas_alarm, else 1/1000",
     "cpas_examples": str(DEFAULT_EXAMPLES),
     "cpas_golden": "ini cpas_golden, else golden/ in the root directory",
