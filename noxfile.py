@@ -192,6 +192,13 @@ def budget(session: nox.Session) -> None:
 
 
 @nox.session
+def mutants(session: nox.Session) -> None:
+    """Mutants of our own metrics as implementations under test; survivors are explained."""
+    install(session, "-e", ".", "--group", "test")
+    session.run("python", "tests/checks/mutants.py", *session.posargs, env=ENV)
+
+
+@nox.session
 def peers(session: nox.Session) -> None:
     """Check published implementations of metrics: their recorded violations still happen."""
     install(session, "-e", ".[open3d,xdist]", "manifold3d", "opencv-python-headless", "tqdm")

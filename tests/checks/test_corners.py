@@ -8,6 +8,7 @@ from functools import partial
 
 import budget
 import faults
+import mutants
 import numpy as np
 import pytest
 
@@ -119,12 +120,29 @@ def test_budget_tells_what_is_enumerated_from_what_is_drawn():
     """Corners are tried once, and what is drawn with every seed."""
     names = [f"{fault.metric}: {fault.name}" for fault in faults.FAULTS]
     shown = budget.budget(names.index("precision: a limit of 0 is none"), 3)
-    assert (shown.by, shown.tries) == ("precision.limit_of_zero", 1)
-    drawn = budget.budget(names.index("diameter: radius"), 3)
-    assert (drawn.share, drawn.any_share, drawn.tries) == (3, 3, 3)
+    assert (shown.by.partition(".")[0], shown.tries) == ("precision", 1)
+    drawn = budget.budget(names.index("translation_error: squared"), 3)
+    assert (drawn.any_share, drawn.tries) == (3, 3)
 
 
 def test_what_nothing_catches_is_seen_in_the_budget(monkeypatch):
     right = faults.Fault("diameter", "none", lambda f: f, {})
     monkeypatch.setattr(faults, "FAULTS", [right])
     assert budget.budget(0, 2) == budget.Budget("diameter: none", "-", 0, 0, 2)
+
+
+def test_mutants_are_of_what_computes_and_survivors_of_what_is_there():
+    made = mutants.mutants("pose")
+    assert any("np.arctan2" in mutant.source for mutant in made)
+    assert not any("ContractError" in mutant.change for mutant in made)
+    sampled = {f"{mutant.module}: {mutant.change}" for mutant in mutants.sample(320, 0)}
+    assert set(mutants.explained()) <= sampled
+
+
+def test_a_mutant_is_caught_and_what_changes_nothing_is_not():
+    changes = {mutant.change: mutant for mutant in mutants.mutants("pose")}
+    (wrong,) = (m for change, m in changes.items() if change.endswith("-> estimate + truth"))
+    right = mutants.Mutant("pose", "none", (mutants.ROOT / "pose.py").read_text(encoding="utf-8"))
+    found = [mutants._in_a_process((mutant, 2, 60)) for mutant in (wrong, right)]
+    assert found[0].startswith("translation_error.")
+    assert found[1] == ""

@@ -157,7 +157,13 @@ _FLAT = (
     [[0, 1, 2], [3, 4, 5]],
 )
 _LONG = ([[0.0, 0, 0], [2.0, 0.1, 0], [0, 0, 0.01]], [[0, 1, 2]])
-_MESHES = {"tetrahedron": _MESH, "flat": _FLAT, "long": _LONG}
+#: Three triangles in general position.
+_GENERAL = (
+    [[0.31, -0.12, 0.07], [-0.22, 0.35, 0.18], [0.14, 0.21, -0.4], [-0.09, -0.33, 0.26],
+     [0.4, 0.1, 0.5]],
+    [[0, 1, 2], [1, 3, 2], [0, 4, 3]],
+)  # fmt: skip
+_MESHES = {"general": _GENERAL, "tetrahedron": _MESH, "flat": _FLAT, "long": _LONG}
 
 _COUNT = 4000
 

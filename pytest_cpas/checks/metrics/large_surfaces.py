@@ -5,6 +5,7 @@ What is compared with all pairs of points has few of them; here the values are k
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -261,6 +262,47 @@ _KINDS = ("ball", "copies", "line", "plane", "sphere")
 def of_two_points(subject: Subject, kind: str, count: int, seed: int) -> None:
     """The diameter is the distance of the two points that are farthest apart, among any others."""
     close(subject(DIAMETER, _of_cloud(kind, count, seed)), 2.0, FINE)
+
+
+def _body(kind: str, count: int, seed: int) -> Array:
+    """Points on a body whose width is nearly the same in all directions."""
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    if kind == "ellipsoid":
+        points *= 1 + 0.01 * rng.random(3)
+    elif kind == "rough ball":
+        points *= 1 + 0.02 * rng.random((count, 1))
+    else:  # arcs about the corners of a triangle, or balls about those of a tetrahedron
+        corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / math.sqrt(8)
+        own = corners[rng.integers(4, size=count)]
+        points = own + points
+        inside = np.linalg.norm(points[:, None] - corners[None], axis=2).max(axis=1) <= 1 + 1e-12
+        points = np.concatenate([points[inside], corners])
+    return np.asarray(points * 0.1 + rng.normal(size=3))
+
+
+_BODIES = ("ellipsoid", "rough ball", "constant width")
+
+
+@prop(
+    DIAMETER,
+    reason="bodies of nearly constant width have nearly as large distances everywhere: a walk to"
+    " the farthest point stops at one of them, and a wrong bound prunes the right one",
+    given={
+        "kind": st.sampled_from(_BODIES), "count": st.integers(70, 400), "seed": some.seeds,
+    },
+    weight=0.1,
+    corners=lambda: (
+        {"kind": kind, "count": count, "seed": seed}
+        for kind in _BODIES for count in (150, 600) for seed in range(3)
+    ),
+)  # fmt: skip
+def of_nearly_constant_width(subject: Subject, kind: str, count: int, seed: int) -> None:
+    """The diameter of bodies of nearly constant width is their largest distance."""
+    points = _body(kind, count, seed)
+    hull = points[ConvexHull(points).vertices]
+    close(subject(DIAMETER, points), float(cdist(hull, hull).max()), FINE)
 
 
 @prop(
