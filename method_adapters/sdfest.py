@@ -6,6 +6,7 @@ decoded distance field is rendered, and all four are refined until it looks like
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ from pytest_cpas.adapting import (
     Pose,
     Prediction,
     draw,
+    heard_by,
     sample_surface,
     stage,
     tap,
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from method_adapters._networks.sdfest import InitNet, SdfVae
     from method_adapters._sdf_renderer import Gradient
     from method_adapters._sdfest_estimation import Estimate, View
+    from method_adapters._sdfest_together import Together
 
 CATEGORIES = ("bottle", "bowl", "mug")
 #: Depth beyond this is not used, metres.
@@ -80,8 +83,7 @@ class Sdfest(Needy):
 
     ``sdfest/`` below the weights folder holds the files of the release v0.1.0, or an older set
     with configuration files; see :func:`configuration`. ``gradient`` and ``iterations`` may be
-    changed. On a GPU, gradients are summed in another order from run to run, and answers differ by
-    rounding.
+    changed.
     """
 
     extra = "sdf"
@@ -97,6 +99,11 @@ class Sdfest(Needy):
     )
     gradient: Gradient = "correct"
     iterations = ITERATIONS
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._models: dict[str, Model] = {}
+        self._together: dict[tuple[SdfVae, Gradient], Together] = {}
 
     @classmethod
     def assets_in(cls, folder: Path) -> tuple[Asset, ...]:
@@ -122,6 +129,7 @@ class Sdfest(Needy):
 
         self._device = device_named(device)
         self._models = {}
+        self._together = {}
         for category in self.info.categories:
             layers, _ = configuration(assets, category)
             model = Model(
@@ -136,9 +144,16 @@ class Sdfest(Needy):
             self._models[category] = model
 
     def predict(self, batch: Sequence[Observation], seed: int) -> list[Prediction]:
-        """One prediction per observation."""
+        """One prediction per observation; a GPU refines those of a category together."""
         here = Pose(np.eye(3), np.zeros(3))
-        return [self.predict_views([(seen, here)], seed) for seen in batch]
+        alike: dict[str, list[int]] = defaultdict(list)
+        for i, seen in enumerate(batch):
+            alike[seen.category].append(i)
+        predictions: dict[int, Prediction] = {}
+        for category, group in alike.items():
+            objects = [[(batch[i], here)] for i in group]
+            predictions |= zip(group, self._predict(category, objects, seed), strict=True)
+        return [predictions[i] for i in range(len(batch))]
 
     def predict_views(self, views: Sequence[tuple[Observation, Pose]], seed: int) -> Prediction:
         """One prediction from several views of an object that does not move.
@@ -151,31 +166,69 @@ class Sdfest(Needy):
         categories = {seen.category for seen, _ in views}
         if len(categories) != 1:
             raise ContractError(f"views of {sorted(categories)}; expected views of one object")
-        try:
-            return Prediction((self._hypothesis(categories.pop(), views, seed),))
-        except NoAnswerError as error:
-            return Prediction.failed(str(error))
+        return self._predict(categories.pop(), [views], seed)[0]
 
-    def _hypothesis(
-        self, category: str, views: Sequence[tuple[Observation, Pose]], seed: int
-    ) -> Hypothesis:
+    def _predict(
+        self,
+        category: str,
+        objects: Sequence[Sequence[tuple[Observation, Pose]]],
+        seed: int,
+    ) -> list[Prediction]:
+        """One prediction per object of a category, from its views."""
         from method_adapters._networks.running import full_precision
-        from method_adapters._sdfest_estimation import first_estimate, refine
+        from method_adapters._sdfest_estimation import first_estimate
 
         if category not in self._models:
             known = ", ".join(self.info.categories)
-            raise NoAnswerError(f"category {category!r}: {self.info.name} knows {known}")
+            reason = f"category {category!r}: {self.info.name} knows {known}"
+            return [Prediction.failed(reason) for _ in objects]
         model = self._models[category]
+        predictions: dict[int, Prediction] = {}
+        taken: dict[int, list[View]] = {}
         with stage("pre-processing"):
-            taken = [tap("input", self._view(seen, camera)) for seen, camera in views]
+            for i, views in enumerate(objects):
+                try:
+                    taken[i] = [tap("input", self._view(seen, camera)) for seen, camera in views]
+                except NoAnswerError as error:
+                    predictions[i] = Prediction.failed(str(error))
         with full_precision():
             with stage("network"):
-                first = first_estimate(model.init, model.grid, taken[0])
+                first = [
+                    first_estimate(model.init, model.grid, views[0]) for views in taken.values()
+                ]
             with stage("refinement"):
-                found = refine(model.vae, first, taken, self.iterations, self.gradient)
+                refined = self._refined(model, first, list(taken.values()))
             with stage("post-processing"):
-                mesh = reconstruct(model.vae, found)
-                return interpret(found, mesh, model.axes, seed)
+                for i, found in zip(taken, refined, strict=True):
+                    try:
+                        mesh = reconstruct(model.vae, found)
+                        hypothesis = interpret(found, mesh, model.axes, seed)
+                        predictions[i] = Prediction((hypothesis,))
+                    except NoAnswerError as error:
+                        predictions[i] = Prediction.failed(str(error))
+        return [predictions[i] for i in range(len(objects))]
+
+    def _refined(
+        self, model: Model, first: Sequence[Estimate], taken: Sequence[Sequence[View]]
+    ) -> list[Estimate]:
+        """What the refinement makes of first estimates."""
+        from method_adapters._networks.graphs import queued
+        from method_adapters._sdfest_estimation import refine
+        from method_adapters._sdfest_together import Together
+
+        found: list[Estimate | None] = [None] * len(first)
+        # what happens within a graph cannot be heard
+        if heard_by() is None and all(len(x) == 1 and queued(x[0].points) for x in taken):
+            together = self._together.setdefault(
+                (model.vae, self.gradient), Together(model.vae, self.gradient)
+            )
+            found = together(first, [views[0] for views in taken], self.iterations)
+        return [
+            refine(model.vae, start, views, self.iterations, self.gradient)
+            if done is None
+            else done
+            for start, views, done in zip(first, taken, found, strict=True)
+        ]
 
     def _view(self, seen: Observation, camera: Pose) -> View:
         from torch import as_tensor

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
+
+ResultT = TypeVar("ResultT")
 
 #: Graphs that are kept of one function, each with the memory of its intermediate results.
 MOST = 8
@@ -19,7 +21,7 @@ def queued(x: Tensor) -> bool:
 
 
 class _Captured(NamedTuple):
-    graph: Any
+    replay: Callable[[], object]
     inputs: tuple[Tensor, ...]
     outputs: tuple[Tensor, ...]
 
@@ -39,7 +41,7 @@ class Graphs:
     def __call__(self, *given: Tensor) -> tuple[Tensor, ...]:
         """What the function gives."""
         # a graph keeps the numerics with which it was captured
-        key = (*((x.shape, x.dtype) for x in given), *_numerics())
+        key = (*((x.shape, x.dtype) for x in given), *numerics())
         captured = self._captured.get(key)
         if captured is None:
             if key not in self._captured or self._full():
@@ -48,7 +50,7 @@ class Graphs:
             captured = self._captured[key] = self._capture(given)
         for kept, x in zip(captured.inputs, given, strict=True):
             kept.copy_(x)
-        captured.graph.replay()
+        captured.replay()
         # the next replay writes where this one did
         return tuple(output.clone() for output in captured.outputs)
 
@@ -57,19 +59,29 @@ class Graphs:
 
     def _capture(self, given: tuple[Tensor, ...]) -> _Captured:
         inputs = tuple(x.clone() for x in given)
-        # what is made once, such as workspaces, is not to be made within the graph
-        aside = torch.cuda.Stream()
-        aside.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(aside):
-            self._function(*inputs)
-        torch.cuda.current_stream().wait_stream(aside)
-        graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
-            outputs = tuple(self._function(*inputs))
-        return _Captured(graph, inputs, outputs)
+        replay, outputs = capture(lambda: tuple(self._function(*inputs)))
+        return _Captured(replay, inputs, outputs)
 
 
-def _numerics() -> tuple[object, ...]:
+def capture(function: Callable[[], ResultT]) -> tuple[Callable[[], object], ResultT]:
+    """How to do again what a function of nothing does on the GPU, and what it gave: tensors that
+    are written anew each time.
+
+    It is called twice: what is made once, such as workspaces, is not to be made within the graph.
+    """
+    aside = torch.cuda.Stream()
+    aside.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(aside):
+        function()
+    torch.cuda.current_stream().wait_stream(aside)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        result = function()
+    return graph.replay, result
+
+
+def numerics() -> tuple[object, ...]:
+    """What a graph keeps of how torch was set when it was captured."""
     return (
         torch.are_deterministic_algorithms_enabled(),
         torch.get_float32_matmul_precision(),

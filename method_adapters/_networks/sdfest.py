@@ -133,7 +133,7 @@ def _resized(x: Tensor, side: int) -> Tensor:
     """Trilinear interpolation to ``side`` nodes along each axis, node centres at halves."""
     if x.shape[-1] == side:
         return x
-    along = _interpolation(x.shape[-1], side).to(x)
+    along = _interpolation(x.shape[-1], side, x.dtype, x.device)
     y = along @ x @ along.T
     resized: Tensor = (along @ y.flatten(-2)).unflatten(-1, (side, side))
     return resized
@@ -141,10 +141,11 @@ def _resized(x: Tensor, side: int) -> Tensor:
 
 @functools.cache
 @torch.inference_mode(False)  # kept for gradients, whoever comes first
-def _interpolation(old: int, new: int) -> Tensor:
+def _interpolation(old: int, new: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """The matrix (``new``, ``old``) that interpolates linearly along one axis."""
     nodes = torch.eye(old)[None]
-    return functional.interpolate(nodes, size=new, mode="linear", align_corners=False)[0].T
+    along = functional.interpolate(nodes, size=new, mode="linear", align_corners=False)[0].T
+    return along.to(device, dtype)
 
 
 class _Decoder(nn.Module):

@@ -145,10 +145,10 @@ def aligned_corners(patch: Patch) -> None:
 
 
 def aligned_corners_of_volumes(patch: Patch) -> None:
-    def fault(old: int, new: int) -> torch.Tensor:
+    def fault(old: int, new: int, *like: object) -> torch.Tensor:
         nodes = torch.eye(old)[None]
         resized = nn.functional.interpolate(nodes, size=new, mode="linear", align_corners=True)
-        return resized[0].T
+        return resized[0].T.to(*reversed(like))
 
     patch(sdfest_networks, "_interpolation", fault)
 

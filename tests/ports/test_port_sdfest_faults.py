@@ -51,9 +51,10 @@ def check_object_axes():
 
 
 def decoder_corners_aligned(patch):
-    def fault(old, new):
+    def fault(old, new, *like):
         nodes = torch.eye(old)[None]
-        return functional.interpolate(nodes, size=new, mode="linear", align_corners=True)[0].T
+        along = functional.interpolate(nodes, size=new, mode="linear", align_corners=True)[0].T
+        return along.to(*reversed(like))
 
     patch(networks, "_interpolation", fault)
 
