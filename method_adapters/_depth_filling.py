@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from method_adapters._networks.graphs import queued
+from method_adapters._networks.graphs import exponential_, queued
 
 Image = NDArray[np.float32]
 
@@ -149,12 +149,7 @@ def _bilateral(padded: Tensor) -> Tensor:
             if squared > 4:
                 continue
             near = padded[2 + row : 2 + row + height, 2 + column : 2 + column + width]
-            weight = _exponential(-(squared / (2 * 2.0**2)) - (near - x) ** 2 / (2 * 0.5**2))
+            weight = exponential_(-(squared / (2 * 2.0**2)) - (near - x) ** 2 / (2 * 0.5**2))
             total += weight * near
             weights += weight
     return total / weights
-
-
-def _exponential(x: Tensor) -> Tensor:
-    """On a CPU as numpy rounds it, which decides about neighbours of points that lie in a plane."""
-    return x.exp_() if queued(x) else torch.from_numpy(np.exp(x.numpy()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from method_adapters._crop import MIN_DEPTH_PIXELS, NoAnswerError
 from pytest_cpas.adapting import Camera, Observation, draw, tap
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Array = NDArray[np.float64]
 
@@ -37,7 +41,7 @@ INSIDE, MOST_POINTS = 0.99, 500
 
 #: Cosine similarities (K, R) of K regions (K, 4), x0 y0 x1 y1 in pixels of a depth image, with a
 #: codebook's rotations; depths (K,) and radii (K,) in metres.
-Match = Callable[[NDArray[np.float32], Array, Array, Array], NDArray[np.float32]]
+Match = Callable[[NDArray[np.float32], Array, Array, Array], "Tensor"]
 
 
 @dataclass(frozen=True)
@@ -169,29 +173,35 @@ def _belief(
     In a first image the size follows from the position: the farthest observed point is on the
     bounding sphere.
     """
+    import torch
+
+    from method_adapters._networks.graphs import exponential_
+
     if last is None:
         radii = view.radii(view.positions(particles))
     else:
         radii = np.full(len(particles), last.radius)
     tap("radii", radii)
-    similarity = match(view.depth, view.regions(particles, radii), particles[:, 2], radii)
-    best = float(similarity.max())
+    likelihood = match(view.depth, view.regions(particles, radii), particles[:, 2], radii)
+    best = float(likelihood.max())
     if not np.isfinite(best):
         raise NoAnswerError("the crops' codes are not finite")
     # of particles (rows) and rotations (columns), together; in place, for there are 58 million
-    likelihood = np.square(np.subtract(similarity, best, out=similarity), out=similarity)
-    likelihood *= -1 / (2 * SIMILARITY_NOISE**2)
-    np.exp(likelihood, out=likelihood)
+    likelihood.sub_(best).square_().mul_(-1 / (2 * SIMILARITY_NOISE**2))
+    exponential_(likelihood)
     if last is not None:
         middle = view.positions(particles.mean(axis=0)[None])[0]
-        likelihood *= _turn_prior(quaternions, towards(middle).T @ last.rotation)
+        prior = _turn_prior(quaternions, towards(middle).T @ last.rotation)
+        likelihood.mul_(torch.from_numpy(prior).to(likelihood.device))
     # the most probable rotation, and those around it with the positions that they fit
-    near = _angles(quaternions, quaternions[likelihood.max(axis=0).argmax()]) <= AVERAGED
-    share = likelihood[:, near].sum(axis=1, dtype=float)
+    near = _angles(quaternions, quaternions[int(likelihood.amax(0).argmax())]) <= AVERAGED
+    columns = torch.from_numpy(np.flatnonzero(near)).to(likelihood.device)
+    likely = likelihood.index_select(1, columns).cpu().numpy()
+    share = likely.sum(axis=1, dtype=float)
     mean = share @ particles / share.sum()
     translation = view.positions(mean[None])[0]
-    rotation = _mean_rotation(quaternions[near], share @ likelihood[:, near])
-    weights = likelihood.sum(axis=1, dtype=float)
+    rotation = _mean_rotation(quaternions[near], share @ likely)
+    weights = likelihood.sum(1, dtype=torch.float64).cpu().numpy()
     belief = Belief(
         particles,
         weights / weights.sum(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,6 +19,14 @@ def queued(x: Tensor) -> bool:
     """Whether operators on ``x`` are only queued, as on a GPU: there each costs its launch however
     little it does, and a look at a value waits for all of them."""
     return x.is_cuda
+
+
+def exponential_(x: Tensor) -> Tensor:
+    """In place; on a CPU as numpy rounds it, with which choices were recorded that hang on it."""
+    if queued(x):
+        return x.exp_()
+    np.exp(x.numpy(), out=x.numpy())
+    return x
 
 
 class _Captured(NamedTuple):

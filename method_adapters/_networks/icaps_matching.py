@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from method_adapters._assets import AssetError, told_of_asset
+from method_adapters._networks.graphs import queued
 from method_adapters._networks.icaps import CODE_SIZE, CROP_SIDE, AutoEncoder
 from method_adapters._networks.roi_align import roi_align
 from method_adapters._networks.running import full_precision
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 #: Rotations of the codebook: elevations x azimuths x turns in the image.
 ROTATIONS = 37 * 72 * 72
-#: Crops that go through the encoder together: their features stay in the cache.
+#: Crops that go through the encoder together on a CPU: their features stay in the cache.
 CHUNK = 20
 #: Value of a crop where there is no object: as far behind it as a crop reaches.
 BACKGROUND = 1.0
@@ -70,10 +71,8 @@ class Matcher:
         self._encoder = encoder.to(codebook.codes.device, memory_format=torch.channels_last)
         self.codebook = codebook
 
-    def __call__(
-        self, depth: NDArray[np.float32], rois: Array, z: Array, radius: Array
-    ) -> NDArray[np.float32]:
-        """Cosine similarities (K, R) of K crops with all codes.
+    def __call__(self, depth: NDArray[np.float32], rois: Array, z: Array, radius: Array) -> Tensor:
+        """Cosine similarities (K, R) of K crops with all codes, where these are.
 
         ``depth`` (H, W): metres, 0 off the object. ``rois`` (K, 4): x0 y0 x1 y1, pixels. A crop's
         depth is normalised so that ``z`` (K,) becomes 0.5, and ``radius`` (K,) more 1, metres.
@@ -81,15 +80,15 @@ class Matcher:
         device = self.codebook.codes.device
         image = torch.from_numpy(np.stack([depth, depth > 0]).astype(np.float32)).to(device)
         given = [torch.from_numpy(x.astype(np.float32)).to(device) for x in (rois, z, radius)]
-        with torch.inference_mode(), full_precision():
-            first, *others = zip(*(torch.split(x, CHUNK) for x in given), strict=True)
+        with torch.no_grad(), full_precision():  # it is changed in place by who gets it
+            chunk = len(rois) if queued(image) else CHUNK
+            first, *others = zip(*(torch.split(x, chunk) for x in given), strict=True)
             # of the first part alone: what the layers make of all is too much
             with TorchTaps(self._encoder, "encoder"):
                 parts = [self._encoder(tap("crops", normalised_crops(image, *first)))]
             parts += [self._encoder(normalised_crops(image, *part)) for part in others]
             codes: Tensor = tap("codes", F.normalize(torch.cat(parts), dim=1))
-            similarities = codes @ self.codebook.codes.T
-            return similarities.cpu().numpy()
+            return codes @ self.codebook.codes.T
 
 
 def normalised_crops(image: Tensor, rois: Tensor, z: Tensor, radius: Tensor) -> Tensor:

@@ -21,8 +21,9 @@ from torch import Tensor, nn
 from method_adapters._networks.graphs import queued
 from pytest_cpas.adapting import tap
 
-#: Clouds up to this size are sampled with a table of all their distances, which is faster.
-TABLE_POINTS = 5000
+#: Clouds up to this size are sampled with a table of all their distances, which is faster; on a
+#: GPU, where it is fewer launches, up to the other.
+TABLE_POINTS, QUEUED_TABLE_POINTS = 2000, 20_000
 #: Distances that are computed together, so that they stay in the cache; and on a GPU, so that they
 #: leave room in its memory.
 CACHED, QUEUED = 1 << 17, 1 << 28
@@ -61,13 +62,16 @@ def farthest_points(
 
     Points with a squared distance from the origin up to ``skip_radius_squared`` are never chosen,
     except index 0, which is always the first and takes the place of all if none is left (DPDN's
-    kernel has 1e-3). Takes 4 B N^2 bytes for up to ``TABLE_POINTS`` points.
+    kernel has 1e-3). Takes 4 B N^2 bytes where it makes a table.
     """
     batch, n, _ = xyz.shape
     order = tie_order(n, max_threads, xyz.device)
     ordered = xyz[:, order]
     # the first maximum is the one that the kernels prefer, once the points stand in their order
-    table = squared_distances(ordered, ordered).flatten(0, 1) if n <= TABLE_POINTS else None
+    by_table = n <= (QUEUED_TABLE_POINTS if queued(xyz) else TABLE_POINTS)
+    table = squared_distances(ordered, ordered).flatten(0, 1) if by_table else None
+    axes = ordered.mT.contiguous()
+    apart = torch.empty_like(axes)
     running = torch.full((batch, n), torch.inf, device=xyz.device)
     if skip_radius_squared is not None:
         x, y, z = ordered.unbind(-1)
@@ -82,8 +86,9 @@ def farthest_points(
         else:
             last_rows = last
         if table is None:
-            near_to = ordered.flatten(0, 1).index_select(0, last_rows)[:, None]
-            to_last = squared_distances(near_to, ordered)[:, 0]
+            near_to = ordered.flatten(0, 1).index_select(0, last_rows)[..., None]
+            torch.sub(axes, near_to, out=apart).square_()
+            torch.add(apart[:, 0], apart[:, 1], out=to_last).add_(apart[:, 2])
         else:
             torch.index_select(table, 0, last_rows, out=to_last)
         torch.minimum(running, to_last, out=running)
