@@ -13,7 +13,7 @@ from torch.utils._pytree import tree_leaves
 
 #: Operators whose result, or its shape, is known on the host only when the device is done.
 WAITED_FOR = {
-    *("_local_scalar_dense", "nonzero", "masked_select", "_unique2", "unique_dim"),
+    *("_local_scalar_dense", "item", "nonzero", "masked_select", "_unique2", "unique_dim"),
     *("unique_consecutive", "repeat_interleave.Tensor", "equal", "is_nonzero"),
 }
 #: What is copied from the host, which a graph must not be told to do.
@@ -49,6 +49,8 @@ class Operators(TorchDispatchMode):
         self.waits = 0
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        if func.namespace != "aten":  # of torch's profiler
+            return func(*args, **(kwargs or {}))
         given = tensors((args, kwargs))
         self.seen.setdefault(name_of(func), set()).update(x.dtype for x in given)
         self.waits += is_waited_for(func, args)
