@@ -114,6 +114,19 @@ def ports(session: nox.Session) -> None:
     session.run("pytest", "tests/ports", env=ENV)
 
 
+@nox.session
+def gpu(session: nox.Session) -> None:
+    """The ports on a GPU: parity with the CPU, contract, times beside goals; some minutes once torch
+    is there. ``-- --python PYTHON`` takes the interpreter of an environment that has it."""
+    script, arguments = "tests/ports/gpu.py", list(session.posargs)
+    if arguments[:1] == ["--python"]:
+        session.run(arguments[1], script, *arguments[2:], external=True)
+        return
+    # not of constraints.txt, which asks for the torch without CUDA
+    session.install("-e", ".[open3d,sdf,torch]", "pytest")
+    session.run("python", script, *arguments)
+
+
 #: Interpreters, and a numpy of their time.
 INTERPRETERS = {"python3.6": "numpy==1.13.3", "python3.8": "numpy==1.24.4", "pypy3": "numpy<2"}
 

@@ -90,9 +90,9 @@ def capture(function: Callable[[], ResultT]) -> tuple[Callable[[], object], Resu
 
 
 def numerics() -> tuple[object, ...]:
-    """What a graph keeps of how torch was set when it was captured."""
-    return (
-        torch.are_deterministic_algorithms_enabled(),
-        torch.get_float32_matmul_precision(),
-        torch.backends.cudnn.allow_tf32,
-    )
+    """What a graph keeps of how torch was set when it was captured; convolutions are always of full
+    precision."""
+    matmul = torch.backends.cuda.matmul
+    # torch from 2.9 on has both ways, and refuses to tell by the older what was set by the newer
+    precision = getattr(matmul, "fp32_precision", None) or matmul.allow_tf32
+    return torch.are_deterministic_algorithms_enabled(), precision

@@ -16,6 +16,7 @@ recorded/.
 """
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import asmnet_cases
@@ -141,20 +142,23 @@ CHANGES = {
     "cass": cass,
     "rbppose": rbppose,
 }
+NAMES = (*CHANGES, "asmnet", "sdfest")
 
 
-def write_assets(folder: Path) -> None:
-    """All weights, and the priors; never into a folder that a link leads to, which is another's."""
+def write_assets(folder: Path, names: Iterable[str] = NAMES) -> None:
+    """Weights, and the priors; never into a folder that a link leads to, which is another's."""
     folder.mkdir(parents=True, exist_ok=True)
     if links := [path.name for path in folder.iterdir() if path.is_symlink()]:
         sys.exit(f"{folder}: {links} are links, and not written through; name a new folder")
     np.save(folder / MEAN_SHAPES.path, priors())
-    for name in CHANGES:
+    for name in CHANGES.keys() & set(names):
         path = folder / cases.METHODS[name].info.assets[0].path
         path.parent.mkdir(parents=True, exist_ok=True)
         torch.save(weights(name), path)
-    asmnet_cases.write_assets(folder)
-    sdfest_cases.write_assets(folder, sdfest())
+    if "asmnet" in names:
+        asmnet_cases.write_assets(folder)
+    if "sdfest" in names:
+        sdfest_cases.write_assets(folder, sdfest())
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ import torch
 
 from method_adapters._networks import heads
 
-#: Looks at a value in a prediction of one object; of the rest none. Of those of iCaps, with two steps
-#: a round, six are Adam's, which counts on the host.
+#: Looks at a value in a prediction of one object; of the rest none. Of those of iCaps, with two
+#: steps a round, six are Adam's, which counts on the host.
 WAITS = {"sdfest": 2, "icaps": 16}
 #: iCaps takes its time.
 NAMES = [
