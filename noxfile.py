@@ -116,8 +116,8 @@ def ports(session: nox.Session) -> None:
 
 @nox.session
 def gpu(session: nox.Session) -> None:
-    """The ports on a GPU: parity with the CPU, contract, times beside goals; some minutes once torch
-    is there. ``-- --python PYTHON`` takes the interpreter of an environment that has it."""
+    """The ports on a GPU: parity with the CPU, contract, times beside goals, in some minutes.
+    ``-- --python PYTHON`` takes the interpreter of an environment that has torch already."""
     script, arguments = "tests/ports/gpu.py", list(session.posargs)
     if arguments[:1] == ["--python"]:
         session.run(arguments[1], script, *arguments[2:], external=True)
