@@ -41,7 +41,7 @@ def fill_depth(depth: Image, device: str = "cpu") -> Image:
     Depth beyond 3 m is lost and filled like a hole. Columns stay empty above their first value.
     """
     with torch.inference_mode():
-        filled: Image = _filled(torch.from_numpy(depth).to(device)).cpu().numpy()
+        filled: Image = _filled(torch.tensor(depth, device=device)).cpu().numpy()
     return filled
 
 

@@ -45,7 +45,7 @@ def test_what_differs_fails(capsys, monkeypatch):
     assert tried("asmnet") == 1
     told = capsys.readouterr().out.splitlines()[-1]
     assert told.endswith(
-        "failed: asmnet: CPU and device, asmnet: batch of 2 and of 1, asmnet: same seed twice"
+        "failed: asmnet: CPU and device, asmnet: batch of 2 and of 1, asmnet: same seed again"
     )
 
 
