@@ -32,7 +32,8 @@ CACHED, QUEUED = 1 << 17, 1 << 28
 def squared_distances(a: Tensor, b: Tensor) -> Tensor:
     """Squared distances (B, M, N) of (B, M, 3) and (B, N, 3), summed in the kernels' order."""
     table = a.new_empty((len(a), a.shape[1], b.shape[1]))
-    rows = max(1, QUEUED // (len(b) * b.shape[1]) if queued(b) else CACHED // b.shape[1])
+    together = QUEUED if queued(b) else CACHED
+    rows = max(1, together // (len(b) * b.shape[1]))
     for centres, part in zip(a.split(rows, 1), table.split(rows, 1), strict=True):
         x, y, z = (centres[:, :, None, axis] - b[:, None, :, axis] for axis in range(3))
         torch.add(x.square_().add_(y.square_()), z.square_(), out=part)

@@ -146,24 +146,24 @@ def threshold_in_metres(patch):
 
 def corners_not_aligned(patch):
     def fault(sdf, at):
-        grid = at.flip(-1)[None, None, None]
+        grid = at.flip(-1)[:, None, None]
         found = functional.grid_sample(
-            sdf[None, None], grid, padding_mode="border", align_corners=False
+            sdf[:, None], grid, padding_mode="border", align_corners=False
         )
-        return found[0, 0, 0, 0]
+        return found[:, 0, 0, 0]
 
-    patch(_sdf_renderer, "_interpolated", fault)
+    patch(_sdf_renderer, "interpolated", fault)
 
 
 def axes_reversed(patch):
-    real = _sdf_renderer._interpolated
-    patch(_sdf_renderer, "_interpolated", lambda sdf, at: real(sdf, at.flip(-1)))
+    real = _sdf_renderer.interpolated
+    patch(_sdf_renderer, "interpolated", lambda sdf, at: real(sdf, at.flip(-1)))
 
 
 def points_outside_counted(patch):
     def fault(sdf, place, points):
-        at = _sdf_renderer._in_cube(place, points)
-        return _sdf_renderer._interpolated(sdf, at) * place.half_width
+        at = _sdf_renderer.in_cube(place, points)
+        return _sdf_renderer.interpolated(sdf[None], at[None])[0] * place.half_width
 
     patch(renderer_tests, "distances", fault)
 
