@@ -78,17 +78,15 @@ def method() -> ICaps:
     return made
 
 
-def crop_by_crop(
-    self: Matcher, depth: NDArray[np.float32], *given: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def crop_by_crop(self: Matcher, depth: NDArray[np.float32], *given: NDArray[np.float64]) -> Tensor:
     image = torch.from_numpy(np.stack([depth, depth > 0]).astype(np.float32))
     encoder = self._encoder.to(memory_format=torch.contiguous_format)
     rows = []
-    with torch.inference_mode():
+    with torch.no_grad():
         for part in zip(*(torch.from_numpy(x.astype(np.float32)) for x in given), strict=True):
             crop = normalised_crops(image, *(x[None] for x in part))
             rows.append(F.normalize(encoder(crop), dim=1) @ self.codebook.codes.T)
-    return torch.cat(rows).numpy()
+    return torch.cat(rows)
 
 
 class PlainShape:
