@@ -74,6 +74,8 @@ def new_adapter(name: str, folder: Path, interpreter: str | None = None) -> tupl
     options = f"--cpas-method={method} --cpas-dataset=synthetic-handheld"
     values = {"name": name, "module": module, "class_name": class_name, "pytest_options": options}
     values["version"] = interpreter or ""
+    own_test = f"test_{module}.py::test_contract"
+    values["shown_by"] = "a test of yours that shows it" if interpreter else own_test
     folder.mkdir(parents=True, exist_ok=True)
     for path, template in paths.items():
         text = files("pytest_cpas").joinpath("adapter_template", template).read_text("utf-8")

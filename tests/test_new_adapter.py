@@ -153,6 +153,8 @@ def test_an_adapter_for_another_interpreter_answers_at_once(pytester, capsys, mo
     assert told.split("\n")[0] == "  pytest-cpas worker-check my-method"
     text = (pytester.path / "my_method.py").read_text()
     assert "pytest_cpas" not in text
+    # nothing names a test that is not there
+    assert "test_my_method" not in (pytester.path / "my-method.known.toml").read_text()
     ast.parse(text, feature_version=(3, 6))
     file = pytester.path / "cpas-methods.toml"
     file.write_text(file.read_text().replace('["python3.6"]', f"[{sys.executable!r}]"))
@@ -164,7 +166,7 @@ def test_an_adapter_for_another_interpreter_answers_at_once(pytester, capsys, mo
         "  bottle, bowl, camera and 3 more; needs depth; gives pose, extents; licence unknown",
         "  its sources are known, so that its rows are reused while they stay the same",
         "  a made-up bottle 0.7 m away: answered at (*0.00, *0.00, 0.6*) m of the camera, *",
-        "  pytest --cpas-method=my-method --cpas-dataset=synthetic-handheld",
+        "  pytest --cpas-method=my-method --cpas-dataset=synthetic-handheld --cpas-limit=24",
     )
 
 

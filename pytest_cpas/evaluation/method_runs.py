@@ -325,7 +325,8 @@ def _no_answer(error: Exception, where: str) -> SampleError:
     if isinstance(error, RaisedThereError):
         return SampleError(f"{where}: the method raised {error}")
     if isinstance(error, WorkerError):
-        return SampleError(f"{where}: {error}")
+        again = f"\n{error.again}" if error.again else ""
+        return SampleError(f"{where}: {error}{again}")
     told = SampleError(f"{where}: the method raised {error!r}")
     told.__cause__ = error
     return told

@@ -54,14 +54,16 @@ def info_of(told: object, name: str, as_called: str = "") -> MethodInfo:
     values |= {part: frozenset(values[part]) for part in _SETS if part in values}
     values["categories"] = tuple(values.get("categories", ()))
     values["assets"] = tuple(asset_of(each, name) for each in values.get("assets", ()))
-    for part, kind in (
-        ("licence", str),
-        ("deterministic", bool),
-        ("tolerance", (int, float)),
-        ("batch", int),
+    for part, kind, expected in (
+        ("name", str, "a text"),
+        ("licence", str, "a text, such as 'MIT' or 'unknown'"),
+        ("deterministic", bool, "True or False"),
+        ("tolerance", (int, float), "a number"),
+        ("batch", int, "a number of samples"),
     ):
         if part in values and not isinstance(values[part], kind):
-            raise DeclarationError(f"method {name!r}: info's {part} is {shown(values[part])}")
+            seen = shown(values[part])
+            raise DeclarationError(f"method {name!r}: info's {part} is {seen}, expected {expected}")
     try:
         return MethodInfo(**values)
     except TypeError as error:
@@ -73,7 +75,8 @@ def asset_of(told: object, name: str) -> Asset:
     """A file that a method declares to need; :class:`DeclarationError`."""
     if not isinstance(told, Mapping) or told.keys() != {"path", "url", "licence"}:
         raise DeclarationError(
-            f"method {name!r}: an asset is {shown(told)}, expected path, url and licence"
+            f"method {name!r}: an asset is {shown(told)}, expected a dictionary of path, url and"
+            " licence"
         )
     return Asset(**{key: str(value) for key, value in told.items()})
 

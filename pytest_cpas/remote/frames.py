@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_cpas.reading.structured import json_value
-from pytest_cpas.remote.worker import LARGEST_BODY, LARGEST_HEADER, LENGTHS
+from pytest_cpas.remote.worker import LARGEST_BODY, LARGEST_HEADER, LENGTHS, MOST_ARRAYS
 from pytest_cpas.types import DataError, ToldError, shown
 
 __all__ = ["FrameError", "arrays_of", "encoded", "header_of", "sizes_of"]
 
-#: Arrays of an answer at most, and their axes.
-_MOST_ARRAYS, _MOST_AXES = 10_000, 8
+#: Axes of an array at most.
+_MOST_AXES = 8
 
 #: Types of arrays, as numpy writes them: numbers, little-endian.
 _TYPES = frozenset({"<f2", "<f4", "<f8", "|i1", "<i2", "<i4", "<i8", "|u1", "<u2", "<u4", "<u8"})
@@ -63,8 +63,8 @@ def header_of(content: bytes) -> dict[str, Any]:
 def arrays_of(header: Mapping[str, Any], body: bytearray) -> list[NDArray[Any]]:
     """The arrays that a header tells of; :class:`FrameError` if they are others."""
     told = header["arrays"]
-    if len(told) > _MOST_ARRAYS:
-        raise FrameError(f"an answer of {len(told)} arrays, at most {_MOST_ARRAYS} are read")
+    if len(told) > MOST_ARRAYS:
+        raise FrameError(f"an answer of {len(told)} arrays, at most {MOST_ARRAYS} are read")
     arrays = []
     start = 0
     for each in told:

@@ -41,6 +41,8 @@ class RemoteMethod:
 
     info: MethodInfo
     remote: Remote
+    #: Whether it is of plain values, and knows no type of pytest-cpas.
+    is_plain: bool
 
     def __init__(self) -> None:
         self._number = next(_numbers)
@@ -175,6 +177,7 @@ def remote_method(spec: Spec) -> type[RemoteMethod]:
     members: dict[str, Any] = {"info": info, "remote": remote, "__doc__": "A method elsewhere."}
     if remote.declared.get("has_assets_in") is True:
         members["assets_in"] = classmethod(_assets_in)
+    members["is_plain"] = remote.declared.get("is_plain") is True
     members["__module__"] = __name__
     return type(f"RemoteMethod[{spec.told}]", (RemoteMethod,), members)
 

@@ -55,7 +55,12 @@ _alive: weakref.WeakSet[WorkerProcess] = weakref.WeakSet()
 
 
 class WorkerError(ToldError):
-    """A worker that cannot be started, died, fell silent, or answered what is no answer."""
+    """A worker that cannot be started, died, fell silent, or answered what is no answer.
+
+    ``again``: whether it is started again if anything comes next, in words, or "".
+    """
+
+    again = ""
 
 
 class WorkerProcess:
@@ -107,6 +112,7 @@ class WorkerProcess:
             os.set_blocking(number, False)
             with contextlib.suppress(OSError, AttributeError):
                 fcntl.fcntl(number, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
+        self._first = first
         try:
             self.hello, _ = self._exchange([first], seconds, "the worker to start")
         except BaseException:
@@ -173,9 +179,11 @@ class WorkerProcess:
 
     _told = b""
 
-    def last_words(self) -> str:
-        """The last lines of the error stream, for a message."""
-        text = (self._told + bytes(self._errors)).decode("utf-8", "replace")
+    def last_words(self, noise: bytes = b"") -> str:
+        """The last lines of the error stream, and of what came in place of an answer, for a
+        message."""
+        printed = self._told + bytes(self._errors) + noise[-_KEPT:]
+        text = printed.decode("utf-8", "replace")
         own = re.compile(rf'\s*$|.*{self._token}|  File "(cpas_worker\.py|<string>)", line \d+ in ')
         lines = [line for line in text.splitlines() if not own.match(line)]
         return terminal_lines("\n".join(lines[-_LINES:]))
@@ -193,7 +201,7 @@ class WorkerProcess:
             while not reading.whole:
                 self._step(reading, writing, until, seconds, what)
         except FrameError as error:
-            raise WorkerError(f"{what}: {error}") from None
+            raise WorkerError(f"{what}: {error}{self._printed(reading)}") from None
         self._waiting = reading.rest
         self.show()
         return reading.header, reading.arrays
@@ -225,16 +233,22 @@ class WorkerProcess:
         if self._out in events:
             with contextlib.suppress(BlockingIOError):
                 if not reading.read_from(self._out):
-                    raise self._death(what)
+                    raise self._death(what, reading)
+                if not self.hello and reading.rest.startswith(self._first[:60] or b"\0"):
+                    raise FrameError("the command sends back what it is told: it is no interpreter")
         elif self.ended:  # somebody else holds its end of the pipe
-            raise self._death(what)
+            raise self._death(what, reading)
         elif until is not None and time.monotonic() >= until:
             self.close()
-            where = self.last_words()
             raise WorkerError(
                 f"{what} took longer than {seconds:g} s, so the worker was ended"
-                + (f"; it printed last:\n{indented(where)}" if where else "")
+                f"{self._printed(reading)}"
             )
+
+    def _printed(self, reading: _Reading) -> str:
+        """The last lines, in words; "" for none."""
+        words = self.last_words(reading.noise)
+        return f"; it printed last:\n{indented(words)}" if words else ""
 
     def _read_errors(self, seconds: float) -> None:
         """Take in what the error stream has, waiting for so long; all that is told of it counts."""
@@ -251,7 +265,7 @@ class WorkerProcess:
             self._errors += content
             del self._errors[: -4 * _KEPT]
 
-    def _death(self, what: str) -> WorkerError:
+    def _death(self, what: str, reading: _Reading) -> WorkerError:
         """That it died, how, and what it printed."""
         process = self._process
         until = time.monotonic() + _GRACE
@@ -266,8 +280,12 @@ class WorkerProcess:
         else:
             how = f"the command ended with {_ended(status < 0, abs(status))}"
         self.close()
-        words = self.last_words()
-        printed = f"; it printed last:\n{indented(words)}" if words else ", and printed nothing"
+        printed = self._printed(reading) or ", and printed nothing"
+        if not self.hello and how.endswith("exit status 0"):
+            printed += (
+                "\nis it an interpreter? shell = true is for a command that hands its words to a"
+                " shell, as ssh does, and for no other one"
+            )
         return WorkerError(f"{what}: the worker died ({how}){printed}")
 
 
@@ -282,6 +300,11 @@ class _Reading:
         self._token, self._body, self._filled = token, bytearray(), 0
         self._in_body = False
         self._advance()
+
+    @property
+    def noise(self) -> bytes:
+        """What somebody else has written, while no answer has begun."""
+        return b"" if self._in_body else bytes(self.rest)
 
     def read_from(self, number: int) -> bool:
         """Read once; False at the end."""
@@ -337,10 +360,12 @@ def _started_with(token: str, *, shell: bool, copy: str | None) -> tuple[list[st
     if copy is not None:
         return [copy, token], b""
     content = base64.b64encode(zlib.compress(read_bytes(Path(_worker.__file__)), 9)).decode()
+    # what lies in its folder, and is called as a module of Python's, is not imported for that one
     line = (
-        'import sys,types,zlib,base64;m=types.ModuleType("cpas_worker");sys.modules[m.__name__]=m;'
+        "import sys;p=sys.path[:];sys.path[:]=[f for f in p if f];import types,zlib,base64;"
+        'm=types.ModuleType("cpas_worker");sys.modules[m.__name__]=m;'
         f'exec(compile(zlib.decompress(base64.b64decode("{content}")),"cpas_worker.py","exec"),'
-        f'm.__dict__);m.main("{token}")\n'
+        f'm.__dict__);m.here[:]=[f for f in p if not f];m.main("{token}")\n'
     )
     program = "exec(input())"
     return ["-c", f"'{program}'" if shell else program], line.encode()

@@ -57,6 +57,8 @@ class Remote:
         #: Path and digest of files that were read there, and are not below its folders, in order.
         self._heard: dict[tuple[str, str], None] = {}
         self.hello: Mapping[str, Any] = {}
+        #: Folders that were left out when it was asked for its sources; None before that.
+        self._left_out: list[str] | None = None
 
     def started(self) -> WorkerProcess:
         """The worker, with the class loaded; :class:`WorkerError`, :class:`RaisedThereError`."""
@@ -72,6 +74,9 @@ class Remote:
                 f" again; the last time: {self._last}"
             )
         spec = self.spec
+        for other, here in spec.paths.items():
+            if not here.exists():
+                raise WorkerError(f"paths: there is no {here} here, which is {other} there")
         try:
             process = WorkerProcess(
                 spec.command,
@@ -87,10 +92,11 @@ class Remote:
         self._process, self.hello = process, process.hello
         self.life += 1
         request = {"call": "open", "class": spec.cls, "path": spec.path, "env": dict(spec.env)}
+        request["places"] = list(spec.paths)
         what = f"loading the class {spec.cls}"
         try:
             answer = self.ask(request, what=what, seconds=spec.seconds_to_load)[0]
-        except RaisedThereError as error:
+        except (RaisedThereError, AnswerError) as error:
             self.close()
             raise RaisedThereError(
                 f"the class {spec.cls} cannot be loaded there: {error}"
@@ -99,6 +105,8 @@ class Remote:
         if not isinstance(declared, Mapping):
             raise WorkerError(f"{what}: the answer is {shown(declared)}")
         self.declared = declared
+        if self._left_out is not None:  # it tells what it reads once that is known
+            self._ask_sources()
         return process
 
     def ask(
@@ -119,12 +127,12 @@ class Remote:
         except WorkerError as error:
             self._process = None
             self._note_end(str(error))
-            again = (
+            error.again = (
                 f"it is started again for what comes next ({self._ended} of {MOST_RESTARTS} times)"
                 if self._ended <= MOST_RESTARTS
                 else f"it has ended {self._ended} times and is not started again"
             )
-            raise WorkerError(f"{error}\n{again}") from None
+            raise
         except BaseException:
             self._process = None
             raise
@@ -134,9 +142,10 @@ class Remote:
             if answer.get("contract") is True:
                 raise AnswerError(message)
             told = f"{kind}: {message}" if message else kind
-            raise RaisedThereError(
-                f"{told} ({self.interpreter})\n{indented(str(answer.get('traceback', '')))}"
-            )
+            who = self.interpreter
+            if kind in ("ImportError", "ModuleNotFoundError"):
+                who += f", {self.hello.get('executable')!s:.200}"
+            raise RaisedThereError(f"{told} ({who})\n{indented(str(answer.get('traceback', '')))}")
         return answer, given
 
     def _hear(self, told: object) -> None:
@@ -170,6 +179,13 @@ class Remote:
         """Whether it runs on this machine, as far as both sides can tell."""
         return self.hello.get("machine") == machine()
 
+    def _ask_sources(self) -> Any:
+        request = {"call": "sources", "path": self.spec.path, "leave_out": self._left_out}
+        try:
+            return self.ask(request, what="looking at its sources", seconds=600)[0].get("value")
+        except AnswerError as error:  # too much
+            return {"files": {}, "distributions": [], "unknown": str(error)}
+
     def close(self) -> None:
         """End the worker; what asks for more starts another one."""
         if self._process is not None:
@@ -179,9 +195,8 @@ class Remote:
     def other_side(self, leave_out: Iterable[Path] = ()) -> OtherSide:
         """Its program as it is now; ``leave_out``: folders of data, weights and results."""
         self.started()
-        left_out = sorted({self.spec.there(folder) for folder in leave_out})
-        request = {"call": "sources", "path": self.spec.path, "leave_out": left_out}
-        answer = self.ask(request, what="looking at its sources", seconds=600)[0].get("value")
+        self._left_out = sorted({self.spec.there(folder) for folder in leave_out})
+        answer = self._ask_sources()
         told: Mapping[str, Any] = answer if isinstance(answer, Mapping) else {}
         files, installed = told.get("files"), told.get("distributions")
         if not isinstance(files, dict) or not isinstance(installed, list):

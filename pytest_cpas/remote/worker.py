@@ -16,6 +16,7 @@ import errno
 import fnmatch
 import hashlib
 import importlib
+import importlib.machinery
 import importlib.util
 import io
 import json
@@ -25,23 +26,31 @@ import random
 import re
 import select
 import signal
+import stat
 import struct
 import sys
 import sysconfig
 import tempfile
 import time
 import traceback
+import types
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Set, Tuple
 
 #: Both sides have to speak the same.
 PROTOCOL = 1
 
-#: Bytes of a header at most, and of a traceback that goes into one.
-LARGEST_HEADER, _TRACEBACK = 2**22, 8000
+#: Bytes of a header at most.
+LARGEST_HEADER = 2**22
+
+#: Characters of a message, of a traceback, and of the message in it.
+_MESSAGE, _TRACEBACK, _MESSAGE_AGAIN = 1000, 8000, 300
 
 #: Bytes of all arrays of an answer at most: those of a million points, ten times.
 LARGEST_BODY = 2**28
+
+#: Arrays of an answer at most.
+MOST_ARRAYS = 10_000
 
 #: Values that a prediction may name.
 _MOST_TAPS = 8000
@@ -58,6 +67,9 @@ _GRACE = 0.5
 #: Files that tell of a program, and their bytes up to which all of them count, each and together.
 _MOST_FILES, _WHOLE, _ALL = 20000, 2**23, 2**28
 
+#: Seconds that looking at them may take, and that a file has to rest before its digest is kept.
+_LONGEST, _REST = 60.0, 2.0
+
 #: Of a larger one so many pieces, of so many bytes, from end to end.
 _PIECES, _PIECE = 64, 2**16
 
@@ -72,6 +84,25 @@ _OF_MACHINES = (
 _PARTS = ("rotation", "translation", "extents", "points", "vertices", "triangles", "score")
 
 _IS_PYPY = platform.python_implementation() == "PyPy"
+
+#: How the names of modules end, those that are installed with a distribution.
+_MODULES = tuple(e for e in importlib.machinery.all_suffixes() if e != ".pyc")
+
+#: Where a distribution is installed, and what of it is there.
+_INSTALLED = re.compile(r"(.*[/\\](?:site|dist)-packages[/\\][^/\\]+)")
+
+#: What tools keep for themselves.
+_CACHE = re.compile(r"__pycache__$|\.(git|hypothesis|benchmarks|\w+_cache)$")
+
+# whatever the method puts in the place of these
+_perf_counter, _monotonic, _sleep, _time = time.perf_counter, time.monotonic, time.sleep, time.time
+_dumps, _loads, _format = json.dumps, json.loads, traceback.format_exception
+
+#: What is used of numpy, as it was before the method was imported.
+np: Any = types.SimpleNamespace()
+
+#: Whether modules are looked for in the folder that this was started in, as "" says in sys.path.
+here: List[str] = []
 
 _SET_PIPE_SIZE, _PIPE_SIZE = 1031, 2**20  # Linux; the system's own size is 64 KiB
 
@@ -90,19 +121,16 @@ class Line:
         if head is None:
             return None
         header_size, _ = LENGTHS.unpack(head[len(self._token) :])
-        header = json.loads(bytes(self._read(bytearray(header_size)) or b"null").decode("utf-8"))
+        header = _loads(bytes(self._read(bytearray(header_size)) or b"null").decode("utf-8"))
         arrays = []
-        if header["arrays"]:
-            import numpy as np
-
-            for dtype, shape in header["arrays"]:
-                array = np.empty(shape, dtype)
-                if array.size and _IS_PYPY:  # which cannot read into the memory of an array
-                    content = self._read(bytearray(array.nbytes))
-                    array = np.frombuffer(content, dtype).reshape(shape)
-                elif array.size:
-                    self._read(array.reshape(-1).view(np.uint8).data)
-                arrays.append(array)
+        for dtype, shape in header["arrays"]:
+            array = np.empty(shape, dtype)
+            if array.size and _IS_PYPY:  # which cannot read into the memory of an array
+                content = self._read(bytearray(array.nbytes))
+                array = np.frombuffer(content, dtype).reshape(shape)
+            elif array.size:
+                self._read(array.reshape(-1).view(np.uint8).data)
+            arrays.append(array)
         self._read(bytearray(len(self._token)))
         return header, arrays
 
@@ -118,11 +146,16 @@ class Line:
     def send(self, header: Dict[str, Any], arrays: Sequence[Any] = ()) -> None:
         """An answer and its arrays, which are C-contiguous and little-endian."""
         header["arrays"] = [[array.dtype.str, list(array.shape)] for array in arrays]
-        text = json.dumps(header).encode("ascii")
+        text = _dumps(header).encode("ascii")
         size = sum(array.nbytes for array in arrays)
-        if size > LARGEST_BODY:
-            message = f"an answer of {size} bytes, at most {LARGEST_BODY} are read"
-            return self.send(_told(AnswerError(message)))
+        for what, seen, most in (
+            ("{} bytes", size, LARGEST_BODY),
+            ("{} arrays", len(arrays), MOST_ARRAYS),
+            ("{} bytes of names, texts and places of arrays", len(text), LARGEST_HEADER),
+        ):
+            if seen > most:
+                message = f"an answer of {what.format(seen)}, at most {most} are read"
+                return self.send(_told(AnswerError(message)))
         parts = [self._token + LENGTHS.pack(len(text), size) + text]
         parts += [array.tobytes() for array in arrays] + [self._token]
         rest = memoryview(b"".join(parts))
@@ -232,8 +265,6 @@ class Taps:
 
 def _arrays_in(name: str, value: Any) -> Iterator[Tuple[str, Any]]:
     """Copies of the arrays in a value, each with a name."""
-    import numpy as np
-
     if value is None:
         return
     fields = getattr(value, "_fields", None)
@@ -318,7 +349,7 @@ def now() -> float:
     """Seconds of a clock that stands still while this thread waits for a core, on Linux."""
     while True:
         waited = _waited()
-        instant = time.perf_counter()
+        instant = _perf_counter()
         if _waited() == waited:
             return instant - waited
 
@@ -351,29 +382,44 @@ class Served:
     def _open(self, request: Dict[str, Any]) -> Any:
         """Import the class; what it declares."""
         os.environ.update(request["env"])
-        if request["path"]:
-            # nothing else that lies about is imported by chance
-            sys.path[:] = request["path"] + [folder for folder in sys.path if folder]
+        _check_folders(request["path"], request["places"])
         sys.dont_write_bytecode = True
-        import numpy  # noqa: F401 - whatever the method needs, this file does
-
+        rest = [folder for folder in sys.path if folder]
+        # modules of the method that are called as one of Python's do not stand in their way
+        sys.path[:] = rest + request["path"]
+        _take_numpy()
+        # nothing else that lies about is imported by chance
+        sys.path[:] = (request["path"] or here) + rest
         module, _, name = request["class"].partition(":")
         made = importlib.import_module(module)
         for part in name.split("."):
+            if not hasattr(made, part):
+                file = getattr(made, "__file__", None)
+                kind = f"module {module}" + (f" is {file}, and" if file else "")
+                raise AnswerError(f"{kind if made is sys.modules[module] else made} has no {part}")
             made = getattr(made, part)
-        self._class = made
-        info = getattr(made, "info", None)
-        if isinstance(info, dict):
-            told = {key: _plain(value) for key, value in info.items()}
-        elif info is None or not hasattr(info, "categories"):
-            raise TypeError(
-                "{} has no info; a method is a class with a dictionary info, load(assets, device)"
-                " and predict(batch, seed)".format(request["class"])
+        lacking = [part for part in ("info", "load", "predict") if not hasattr(made, part)]
+        info: Any = getattr(made, "info", None)
+        if not lacking and not isinstance(info, dict) and not hasattr(info, "categories"):
+            lacking = ["dictionary info"]
+        if lacking:
+            raise AnswerError(
+                "{} has no {}; a method is a class with a dictionary info, load(assets, device)"
+                " and predict(batch, seed)".format(request["class"], ", no ".join(lacking))
             )
+        self._class = made
+        if isinstance(info, dict):
+            told = {str(key): _plain(value) for key, value in info.items()}
         else:
             told = {key: _plain(value) for key, value in vars(info).items()}
             told["assets"] = [_plain(vars(asset)) for asset in info.assets]
-        return {"info": told, "has_assets_in": hasattr(made, "assets_in"), "doc": made.__doc__}
+        _sources.begin()
+        return {
+            "info": told,
+            "is_plain": isinstance(info, dict),
+            "has_assets_in": hasattr(made, "assets_in"),
+            "doc": made.__doc__,
+        }
 
     def _assets_in(self, request: Dict[str, Any]) -> Any:
         assets = self._class.assets_in(Path(request["folder"]))
@@ -393,7 +439,7 @@ class Served:
         return _sources.told(request["path"], request["leave_out"])
 
     def _digests(self, request: Dict[str, Any]) -> Any:
-        return {path: _digest(path, True)[1] for path in request["files"]}
+        return {path: _digest_of(path) for path in request["files"]}
 
     def _facts(self, request: Dict[str, Any]) -> Any:
         return facts(self._device)
@@ -423,15 +469,14 @@ class Served:
         _stages.listens, _stages.seconds = request["timed"], {}
         with _also_listening(_stages):
             _stages.synchronise()
-            start, wall = now(), time.perf_counter()
+            start, wall = now(), _perf_counter()
             predictions = method.predict(batch, request["seed"])
             _stages.synchronise()
-            seconds, wall = now() - start, time.perf_counter() - wall
+            seconds, wall = now() - start, _perf_counter() - wall
         _taps.listens = False
         made: List[Any] = []
-        answers = [
-            _answer(index, answer, made) for index, answer in enumerate(_listed(predictions))
-        ]
+        listed = _listed(predictions, len(batch))
+        answers = [_answer(index, answer, made) for index, answer in enumerate(listed)]
         changed = [
             index for index, old in enumerate(before) if old.tobytes() != arrays[index].tobytes()
         ]
@@ -486,17 +531,44 @@ def _observation(told: Dict[str, Any], arrays: List[Any], plain: bool) -> Any:
     return made
 
 
-def _listed(predictions: Any) -> List[Any]:
+def _listed(predictions: Any, count: int) -> List[Any]:
     if isinstance(predictions, dict) or not isinstance(predictions, (list, tuple)):
         raise AnswerError(
             f"predict gave a {type(predictions).__name__}, expected a list with an answer for each"
             " observation"
         )
+    if len(predictions) != count:
+        raise AnswerError(
+            f"predict: {len(predictions)} answers to a batch of {count}, expected one for each"
+            " observation, in order"
+        )
     return list(predictions)
 
 
 class AnswerError(ValueError):
-    """An answer that cannot be sent."""
+    """What is to be changed over here, and is told without a traceback."""
+
+
+def _check_folders(path: List[str], places: List[str]) -> None:
+    for what, names in (("path", path), ("paths", places)):
+        for name in names:
+            if not os.path.exists(name):
+                raise AnswerError(f"{what}: there is no {name} on the other side")
+    for name in path:
+        if not os.path.isdir(name) and not name.endswith((".zip", ".egg", ".whl")):
+            raise AnswerError(f"path: {name} is no folder")
+
+
+def _take_numpy() -> None:
+    try:
+        import numpy
+    except ImportError as error:
+        raise AnswerError(
+            f"{type(error).__name__}: {error}; the worker needs numpy in {sys.executable} (of"
+            f" {sys.prefix})"
+        ) from None
+    for name in ("array", "asarray", "empty", "frombuffer", "random", "stack", "uint8"):
+        setattr(np, name, getattr(numpy, name))
 
 
 def _answer(index: int, answer: Any, made: List[Any]) -> Dict[str, Any]:
@@ -514,6 +586,10 @@ def _answer(index: int, answer: Any, made: List[Any]) -> Dict[str, Any]:
             ' {"rotation": R, "translation": t}, a list of such, the best first, or'
             ' {"failed": "why"}'
         )
+    if not hypotheses and not reason:
+        raise AnswerError(
+            f'{where} has no hypothesis and no reason; say why with {{"failed": "why"}}'
+        )
     told = [
         _hypothesis(f"{where}, hypothesis {n}", each, made) for n, each in enumerate(hypotheses)
     ]
@@ -529,8 +605,6 @@ def _of_object(hypothesis: Any) -> Dict[str, Any]:
 
 def _hypothesis(where: str, hypothesis: Any, made: List[Any]) -> Dict[str, int]:
     """Which of the arrays is which part."""
-    import numpy as np
-
     if not isinstance(hypothesis, dict):
         raise AnswerError(f"{where} is a {type(hypothesis).__name__}, expected a dictionary")
     unknown = sorted(str(name) for name in set(hypothesis) - set(_PARTS))
@@ -563,6 +637,8 @@ def _plain(value: Any) -> Any:
         return sorted(str(each) for each in value)
     if isinstance(value, (list, tuple)):
         return [_plain(each) for each in value]
+    if hasattr(value, "tolist"):  # numpy's
+        return _plain(value.tolist())
     return value if isinstance(value, (bool, int, float, type(None))) else str(value)
 
 
@@ -570,8 +646,6 @@ class _RandomStates:
     """The global random states, seeded as the harness has its own; who drew from them."""
 
     def __init__(self, seed: int) -> None:
-        import numpy as np
-
         self._numpy = np.random
         self._torch: Any = sys.modules.get("torch")
         random.seed(seed)
@@ -644,20 +718,28 @@ def memory(device: str) -> Dict[str, Any]:
     return {"host_bytes": host, "device_bytes": on_device}
 
 
+class TooMuchError(Exception):
+    """Why files are not looked at."""
+
+
 class Sources:
     """The files that the method is made of, as far as they can be seen.
 
-    Those below the folders where modules are looked for, and modules from elsewhere, as both were
-    when they were first asked for; and what else is read since, of which Python tells from 3.8 on.
-    What was written by this process, or made since it began in the folder of temporary files, is
-    its own output.
+    Those below the folders where modules are looked for, and modules from elsewhere that were
+    imported with the class: of what is installed, whole packages. Modules that are imported since
+    are told one by one, and so is what else is read, of which Python tells from 3.8 on. What was
+    written by this process, or made since it began in the folder of temporary files, is its own
+    output.
     """
 
     def __init__(self) -> None:
         self._folders: List[str] = []
         self._left_out: Set[str] = set()
-        self._modules: Optional[Set[str]] = None
         self._began = time.time()
+        self._names: Set[str] = set()
+        self._first: Set[str] = set()
+        self._below: Optional[Set[str]] = None
+        self._imported: Set[str] = set()
         self._read: Set[str] = set()
         self._written: Set[str] = set()
         self._told: Set[str] = set()
@@ -668,30 +750,61 @@ class Sources:
             sys.addaudithook(self._hear)  # novermin
 
     def _hear(self, event: str, arguments: Tuple[Any, ...]) -> None:
-        if event != "open" or not isinstance(arguments[0], (str, bytes)):
+        if event not in ("open", "ctypes.dlopen") or not isinstance(arguments[0], (str, bytes)):
             return
         with contextlib.suppress(Exception):  # whoever opens the file is not disturbed
             path = os.path.abspath(os.fsdecode(arguments[0]))
             if path.endswith(".pyc"):
                 path = importlib.util.source_from_cache(path)
-            writes = arguments[2] & (os.O_WRONLY | os.O_RDWR)
+            writes = event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR)
             (self._written if writes else self._read).add(path)
 
+    def begin(self) -> None:
+        """The class is imported: what is there now is the same in every process."""
+        places = [os.path.realpath(folder) for folder in sys.path if folder]
+        self._folders = [p for p in dict.fromkeys(places) if not _is_standard(p)]
+        self._first = self._new_modules()
+
+    def _new_modules(self) -> Set[str]:
+        """The files of modules that were not there before; packages of those that are installed."""
+        names = {*list(sys.modules)} - self._names - {"__main__", "cpas_worker"}
+        self._names |= names
+        found = set()
+        for name in names:
+            with contextlib.suppress(Exception):  # it may be anything
+                file: Any = getattr(sys.modules[name], "__file__", None)
+                found.add(_counted(file) if isinstance(file, str) else "")
+        return found - {""}
+
     def news(self) -> List[List[str]]:
-        """Path and digest of each file that was read, is none of the others, and was not told."""
-        if self._modules is None:
+        """Path and digest of each file that was read, or imported, since it was asked what there
+        is."""
+        if self._below is None:
             return []
-        paths = sorted(self._read - self._told - self._written)[:_MOST_NEWS]
+        self._imported |= self._new_modules() - self._first
+        while self._read:
+            path = self._read.pop()
+            if self._is_part(path):
+                self._imported.add(_counted(path) if path.endswith(_MODULES) else path)
+        paths = sorted(self._imported - self._told - self._first - self._written)[:_MOST_NEWS]
+        self._imported -= {*paths, *self._told, *self._first}
         self._told.update(paths)
-        self._read -= self._told
-        return [[path, _digest(path, True)[1]] for path in paths if self._is_new(path)]
+        new = [path for path in paths if self._is_new(path)]
+        return [[path, _digest_of(path)] for path in new]
+
+    def _is_part(self, path: str) -> bool:
+        """Whether a file that was read is none of Python, of the system or of a cache, and is not
+        known otherwise."""
+        if re.match(r"/(proc|sys|dev)/", path) or re.search(r"[-.](dist|egg)-info[/\\]", path):
+            return False
+        if _is_standard(path) and not _INSTALLED.match(path):
+            return False
+        if any(_CACHE.match(part) for part in path.split(os.sep)):
+            return False
+        return not any(_is_below(path, folder) for folder in self._left_out)
 
     def _is_new(self, path: str) -> bool:
-        if re.match(r"/(proc|sys|dev)/", path) or _is_standard(path):
-            return False
-        if not os.path.isfile(path) or path in (self._modules or ()):
-            return False
-        if any(_is_below(path, folder) for folder in (*self._folders, *self._left_out)):
+        if not os.path.exists(path) or _place(path) in (self._below or ()):
             return False
         temporary = _is_below(path, tempfile.gettempdir())
         return not (temporary and os.path.getctime(path) >= self._began)
@@ -699,40 +812,36 @@ class Sources:
     def told(self, path: List[str], leave_out: List[str]) -> Dict[str, Any]:
         """A digest of each file by name, and the distributions; ``unknown``: why that is not all,
         else empty. ``leave_out``: folders of data, weights, results, which are known otherwise."""
-        if self._modules is None:
-            places = [os.path.realpath(folder) for folder in sys.path if folder]
-            self._folders = [p for p in dict.fromkeys(places) if not _is_standard(p)]
-            self._left_out = {os.path.realpath(folder) for folder in leave_out}
-        if self._modules is None or not hasattr(sys, "addaudithook"):
-            self._modules = set(self._other_modules())
+        self._left_out = {os.path.realpath(folder) for folder in leave_out}
         unknown = "" if path else "no path says in which folders its sources are"
         files: Dict[str, str] = {}
-        named: Set[bytes] = set()
-        total = 0
-        for folder in self._folders:
-            base = os.path.basename(folder) or folder
-            while any(name.startswith(base + "/") for name in files):
-                base += "'"
-            for file in _below(folder, self._left_out) if os.path.isdir(folder) else [folder]:
-                if len(files) >= _MOST_FILES:
-                    unknown = f"{folder} has more than {_MOST_FILES} files"
-                    break
-                size, digest = _digest(file, total < _ALL)
-                total += size
-                files[base + "/" + os.path.relpath(file, folder).replace(os.sep, "/")] = digest
-                named |= _words(file)
-            if unknown:
-                break
-        files.update((file, _digest(file, True)[1]) for file in self._modules)
-        files.update(_variables(named))
+        self._below = set()
+        try:
+            until = _monotonic() + _LONGEST
+            listed = self._listed(until)
+            packages = sorted(self._first)
+            files.update(_digests_of(listed, packages, until))
+            files.update(_variables({word for file in listed.values() for word in _words(file)}))
+        except TooMuchError as error:
+            files, unknown = {}, str(error)
         return {"files": files, "distributions": _distributions(), "unknown": unknown}
 
-    def _other_modules(self) -> Iterator[str]:
-        for name, module in list(sys.modules.items()):
-            file = getattr(module, "__file__", None) or ""
-            known = any(_is_below(file, folder) for folder in self._folders) or _is_standard(file)
-            if name not in ("__main__", "cpas_worker") and os.path.isfile(file) and not known:
-                yield os.path.abspath(file)
+    def _listed(self, until: float) -> Dict[str, str]:
+        """The files below the folders, by name."""
+        found: Dict[str, str] = {}
+        bases: Set[str] = set()
+        for folder in self._folders:
+            base = os.path.basename(folder) or folder
+            while base in bases:
+                base += "'"
+            bases.add(base)
+            for file, place in _below(folder, self._left_out, until):
+                if len(found) >= _MOST_FILES:
+                    raise TooMuchError(f"{folder} has more than {_MOST_FILES} files")
+                found[base + "/" + os.path.relpath(file, folder).replace(os.sep, "/")] = file
+                if self._below is not None:
+                    self._below.add(place)
+        return found
 
 
 _sources = Sources()
@@ -745,9 +854,26 @@ def _is_standard(place: str) -> bool:
     return any(_is_below(place, sysconfig.get_path(n)) for n in ("stdlib", "platstdlib"))
 
 
+def _counted(file: str) -> str:
+    """What counts for a module: its file; of one that is installed the package, or the file, that
+    lies among the others; "" for Python's own."""
+    file = os.path.abspath(file)
+    match = _INSTALLED.match(file)
+    if match:
+        return match.group(1)
+    while not os.path.exists(file) and file != os.path.dirname(file):  # in an archive
+        file = os.path.dirname(file)
+    return file if os.path.isfile(file) and not _is_standard(file) else ""
+
+
 def _is_below(place: str, folder: Optional[str]) -> bool:
     place, folder = os.path.realpath(place), os.path.realpath(folder or ".")
     return place == folder or place.startswith(folder.rstrip(os.sep) + os.sep)
+
+
+def _place(file: str) -> str:
+    """A file in the folder that it really is in."""
+    return os.path.join(os.path.realpath(os.path.dirname(file)), os.path.basename(file))
 
 
 def _words(file: str) -> Set[bytes]:
@@ -770,41 +896,108 @@ def _variables(words: Set[bytes]) -> Iterator[Tuple[str, str]]:
             yield "$" + name, hashlib.sha256(value).hexdigest()[:16]
 
 
-def _below(folder: str, leave_out: Set[str]) -> Iterator[str]:
+def _below(folder: str, leave_out: Set[str], until: float) -> Iterator[Tuple[str, str]]:
+    """The files of a folder, as they are reached and as :func:`_place` has them; a file alone."""
+    if not os.path.isdir(folder):
+        yield folder, _place(folder)
+        return
     been: Set[str] = set()
     for at, folders, names in os.walk(folder, followlinks=True):
+        if _monotonic() > until:
+            raise TooMuchError(f"{folder} cannot be looked through in {_LONGEST:g} s")
         if at != folder and ("pyvenv.cfg" in names or "conda-meta" in folders):
             folders[:] = []  # an environment, whose distributions have versions
             continue
-        been.add(os.path.realpath(at))
+        place = os.path.realpath(at)
+        been.add(place)
         folders[:] = sorted(
             name
             for name in folders
-            if not re.match(r"__pycache__$|\.(git|hypothesis|benchmarks|\w+_cache)$", name)
+            if not _CACHE.match(name)
             and os.path.realpath(os.path.join(at, name)) not in leave_out | been
         )
         for name in sorted(names):
             if not name.endswith(".pyc"):
-                yield os.path.join(at, name)
+                yield os.path.join(at, name), os.path.join(place, name)
+
+
+def _digests_of(
+    listed: Dict[str, str], others: List[str], until: float
+) -> Iterator[Tuple[str, str]]:
+    """A digest of each file by name, and of others by path."""
+    left = _ALL
+    for name, file in listed.items():
+        size, digest = _digest(file, left > 0)
+        left -= size
+        yield name, digest
+        if _monotonic() > until:
+            raise TooMuchError(f"what is below path cannot be read in {_LONGEST:g} s")
+    for path in others:
+        name = os.path.join(*path.split(os.sep)[-2:]) if _INSTALLED.match(path) else path
+        yield name, _digest_of(path)
+        if _monotonic() > until:
+            raise TooMuchError(f"what is installed cannot be read in {_LONGEST:g} s")
+
+
+def _digest_of(path: str) -> str:
+    """A digest of a file, or of the modules below a folder: beyond some bytes of their sizes."""
+    if not os.path.isdir(path):
+        return _digest(path, True)[1]
+    digest = hashlib.sha256()
+    left, until = _ALL, _monotonic() + _LONGEST
+    for at, folders, names in os.walk(path):
+        folders.sort()
+        for name in sorted(names):
+            if not name.endswith(_MODULES):
+                continue
+            file = os.path.join(at, name)
+            size, told = _digest(file, True) if left > 0 else (0, str(_size(file)))
+            left -= size
+            digest.update(f"{os.path.relpath(file, path)} {told}\n".encode("utf-8", "replace"))
+        if _monotonic() > until:
+            return f"unread: it takes longer than {_LONGEST:g} s"
+    return digest.hexdigest()[:16]
+
+
+def _size(file: str) -> int:
+    try:
+        return os.path.getsize(file)
+    except OSError:
+        return -1
+
+
+#: Digests of files that have rested, by path and how they were looked at.
+_digests: Dict[Tuple[str, bool], Tuple[Tuple[int, ...], Tuple[int, str]]] = {}
 
 
 def _digest(file: str, whole: bool) -> Tuple[int, str]:
     """Bytes that were read of a file, and their digest: all, or of a large one some pieces."""
     try:
-        if not os.path.isfile(file):
+        seen = os.stat(file)
+        if not stat.S_ISREG(seen.st_mode):
             return 0, "no file"
-        size = os.path.getsize(file)
-        digest = hashlib.sha256(str(size).encode("ascii"))
-        with open(file, "rb") as opened:
-            if (whole and size <= _WHOLE) or size <= _PIECE:
-                digest.update(opened.read())
-                return size, digest.hexdigest()[:16]
-            for place in range(_PIECES):
-                opened.seek(place * (size - _PIECE) // (_PIECES - 1))
-                digest.update(opened.read(_PIECE))
-        return _PIECES * _PIECE, digest.hexdigest()[:16] + " in part"
+        stamp = seen.st_dev, seen.st_ino, seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns
+        known = _digests.get((file, whole))
+        if known is not None and known[0] == stamp:
+            return known[1]
+        told = _read_digest(file, seen.st_size, whole)
     except OSError as error:
         return 0, f"unread: {error.strerror}"
+    if _time() - seen.st_ctime > _REST:
+        _digests[file, whole] = stamp, told
+    return told
+
+
+def _read_digest(file: str, size: int, whole: bool) -> Tuple[int, str]:
+    digest = hashlib.sha256(str(size).encode("ascii"))
+    with open(file, "rb") as opened:
+        if (whole and size <= _WHOLE) or size <= _PIECE:
+            digest.update(opened.read())
+            return size, digest.hexdigest()[:16]
+        for place in range(_PIECES):
+            opened.seek(place * (size - _PIECE) // (_PIECES - 1))
+            digest.update(opened.read(_PIECE))
+    return _PIECES * _PIECE, digest.hexdigest()[:16] + " in part"
 
 
 def _distributions() -> List[str]:
@@ -831,14 +1024,16 @@ def _machine() -> str:
 # -- the processes ------------------------------------------------------------------------------
 
 
-def serve(token: str, requests: int, answers: int) -> None:
-    """Answer requests until there are none."""
+def serve(token: str, requests: int, answers: int, errors: int) -> None:
+    """Answer requests until there are none; ``errors``: another number of the error stream."""
     line, served = Line(token, requests, answers), Served()
     line.send(
         {
             "protocol": PROTOCOL,
             "python": platform.python_version(),
             "implementation": platform.python_implementation(),
+            "executable": sys.executable,
+            "prefix": sys.prefix,
             "machine": _machine(),
             "pid": os.getpid(),
         }
@@ -853,9 +1048,26 @@ def serve(token: str, requests: int, answers: int) -> None:
         except BaseException as error:  # sys.exit() is no way out either
             answer = _told(error)
         answer["read"] = _sources.news()
-        sys.stdout.flush()
-        sys.stderr.flush()
+        _flush()
+        _mend_streams(errors)
         line.send(answer, made)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(Exception):  # the method has closed it, or put it away
+            stream.flush()
+
+
+def _mend_streams(errors: int) -> None:
+    """Open the output of this process again where the method has closed it: no file that is opened
+    next takes what is meant for it."""
+    for number in (1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.dup2(errors, number)
 
 
 def _told(error: BaseException) -> Dict[str, Any]:
@@ -863,7 +1075,8 @@ def _told(error: BaseException) -> Dict[str, Any]:
     kind, frames = type(error), error.__traceback__
     while frames is not None and frames.tb_frame.f_globals.get("__name__") == __name__:
         frames = frames.tb_next
-    text = "".join(traceback.format_exception(kind, error, frames or error.__traceback__))
+    parts = _format(kind, error, frames or error.__traceback__)
+    text = "".join(_shortened(part, _MESSAGE_AGAIN) for part in parts)
     contract = any(base.__name__ == "ContractError" for base in kind.__mro__)
     try:
         message = str(error)
@@ -871,15 +1084,22 @@ def _told(error: BaseException) -> Dict[str, Any]:
         message = "its message cannot be told"
     return {
         "raised": kind.__name__,
-        "message": message[:4000],
+        "message": _shortened(message, _MESSAGE),
         "traceback": text[-_TRACEBACK:],
         "contract": contract or kind is AnswerError,
     }
 
 
+def _shortened(text: str, most: int) -> str:
+    """``text``, or its beginning and end."""
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2]} ... [{len(text)} characters] ... {text[-most // 4 :]}"
+
+
 def main(token: str) -> None:
     """Take the standard streams over, and serve in a process that this one watches."""
-    requests, answers = os.dup(0), os.dup(1)
+    requests, answers, errors = _aside(0), _aside(1), _aside(2)
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
@@ -912,13 +1132,46 @@ def main(token: str) -> None:
     with contextlib.suppress(Exception):
         import faulthandler
 
-        faulthandler.enable()
-        faulthandler.register(signal.SIGUSR1)
-    serve(token, requests, answers)
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(Exception):
-            stream.flush()
+        faulthandler.enable(errors)
+        faulthandler.register(signal.SIGUSR1, errors)
+    try:
+        serve(token, requests, answers, errors)
+    except OSError as error:
+        if error.errno == errno.EBADF:
+            _say_closed(errors)
+            os._exit(1)
+        if error.errno not in (errno.EPIPE, errno.ECONNRESET):  # nobody listens any more
+            raise
+    _flush()
     os._exit(0)  # neither threads nor libraries that tidy up for seconds are waited for
+
+
+def _aside(descriptor: int) -> int:
+    """A copy of it with a high number, which code that closes or writes to all that it knows of
+    leaves alone."""
+    with contextlib.suppress(Exception):
+        import fcntl
+        import resource
+
+        most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        most = min(most, 4096) if most > 0 else 4096
+        return fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, most - 32)
+    return os.dup(descriptor)
+
+
+def _say_closed(errors: int) -> None:
+    """Whichever way is left to the error stream."""
+    said = (
+        b"\nthe method has closed file descriptors that it did not open, and with them the line to"
+        b" pytest-cpas\n"
+    )
+    for number in (errors, 2):
+        with contextlib.suppress(OSError):
+            os.write(number, said)
+            return
+    path = f"/proc/{os.getppid()}/fd/2"  # as the process that watches this one has it
+    with contextlib.suppress(OSError), open(path, "wb", buffering=0) as stream:
+        stream.write(said)
 
 
 def _forget_in_copies(*descriptors: int) -> None:
@@ -950,18 +1203,18 @@ def _watch(token: str, child: int, requests: int, wake: int) -> None:
     poller.register(wake, select.POLLIN)
     status = None
     cut: Optional[float] = None
-    while status is None and (cut is None or time.monotonic() < cut):
+    while status is None and (cut is None or _monotonic() < cut):
         events = poller.poll(None if cut is None else 50)
         if any(number == requests for number, _ in events):
             poller.unregister(requests)
-            cut = time.monotonic() + _GRACE
+            cut = _monotonic() + _GRACE
         with contextlib.suppress(OSError):
             os.read(wake, 100)
         status = _reaped(child)
     if status is None and hasattr(signal, "SIGUSR1"):
         with contextlib.suppress(OSError):  # it says where it is
             os.kill(child, signal.SIGUSR1)
-            time.sleep(0.1)
+            _sleep(0.1)
     for end in (os.killpg, os.kill):
         with contextlib.suppress(OSError):
             end(child, signal.SIGKILL)
@@ -1006,7 +1259,7 @@ def _end_orphans() -> None:
         _reaped(-1)
         if not left:
             return
-        time.sleep(0.01)
+        _sleep(0.01)
 
 
 if __name__ == "__main__":

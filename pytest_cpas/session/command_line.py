@@ -121,9 +121,9 @@ def add_options(parser: pytest.Parser) -> None:
     group.addoption(
         "--cpas-timeout",
         metavar="SECONDS",
-        help="end the run, or with xdist the worker, when a prediction takes longer per sample, and"
-        " say where the method was; the same command goes on from there (default: ini"
-        " cpas_timeout, else any time)",
+        help="end the run when a prediction takes longer per sample, and say where the method was;"
+        " the same command goes on from there. With xdist, and of a method in another interpreter,"
+        " that process alone is ended (default: ini cpas_timeout, else any time)",
     )
     group.addoption(
         "--cpas-results",

@@ -55,7 +55,8 @@ def worker_check(name: str, here: Path, weights: Path | None, device: str) -> It
     yield f"  a made-up {seen.category} 0.7 m away: {_told(answer, method)}"
     own, way = 1000 * method.own_seconds, 1000 * method.transfer_seconds
     yield f"  in {own:.0f} ms, and {way:.0f} ms for the way there and back"
-    yield f"next:\n  pytest --cpas-method={shlex.quote(name)} --cpas-dataset=synthetic-handheld"
+    options = f"--cpas-method={shlex.quote(name)} --cpas-dataset=synthetic-handheld"
+    yield f"next:\n  pytest {options} --cpas-limit=24"
 
 
 def _project(here: Path) -> Path:

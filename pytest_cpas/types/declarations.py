@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Literal, Protocol, runtime_checkable
 
 from pytest_cpas.types.answers import Prediction
-from pytest_cpas.types.errors import DeclarationError, raised_as
+from pytest_cpas.types.errors import DeclarationError, raised_as, shown
 from pytest_cpas.types.names import checked_name
 from pytest_cpas.types.samples import Observation
 
@@ -23,6 +23,13 @@ class Asset:
     path: str
     url: str
     licence: str
+
+    def __post_init__(self) -> None:
+        path = PurePath(self.path)
+        if path.is_absolute() or not path.parts or ".." in path.parts:
+            raise DeclarationError(
+                f"asset {shown(self.path)}: expected a file below the weights folder"
+            )
 
     def locate(self, weights: Path | None) -> Path:
         """The file below the weights folder; :class:`FileNotFoundError` if it is not there."""

@@ -5,13 +5,16 @@ The fault is in the second sample of tests/tiny.py, whose first pixel tells it.
 
 # ruff: noqa: NPY002, RUF012, SIM105 - as such methods are written
 import importlib
+import json
 import os
 import re
 import signal
+import struct
 import subprocess
 import sys
 import threading
 import time
+import traceback
 
 import numpy as np
 
@@ -149,7 +152,56 @@ class WritesEverywhere(Good):
 
 class ClosesEverything(Good):
     def fault(self):
-        os.closerange(3, 100)
+        os.closerange(0, 2**16)
+
+
+class ClosesAll(Good):
+    """That a program of few files has open."""
+
+    def fault(self):
+        os.closerange(0, 256)
+
+
+class ClosesOutput(Good):
+    def fault(self):
+        sys.stdout.close()
+
+
+class PutsOutputAway(Good):
+    def fault(self):
+        sys.stdout = sys.stderr = None
+
+
+class ClosesStreams(Good):
+    """And opens a file, which has the number of one of them if nobody else has it."""
+
+    def fault(self):
+        os.close(1)
+        os.close(2)
+
+
+class Patches(Good):
+    def fault(self):
+        json.dumps = json.loads = struct.pack = struct.unpack = None
+        os.read = os.write = None
+        time.monotonic = time.perf_counter = time.time = lambda: 0
+        traceback.format_exception = None
+
+
+class ForgetsNumpy(Good):
+    def fault(self):
+        sys.modules.pop("numpy")
+        sys.path[:] = []
+
+
+class ManyHypotheses(Good):
+    def fault(self):
+        return [self.right()] * 10000
+
+
+class NoReason(Good):
+    def fault(self):
+        return {"failed": ""}
 
 
 class ReadsInput(Good):
@@ -323,6 +375,14 @@ SURVIVED = (
     ReadsInput,
     Daemon,
     LeavesProgram,
+    ManyHypotheses,
+    NoReason,
+    ClosesOutput,
+    PutsOutputAway,
+    ClosesStreams,
+    ClosesAll,
+    ForgetsNumpy,
+    Patches,
 )
 
 

@@ -107,9 +107,11 @@ GOOD = {
 }
 
 
+ASSET = {"path": "w.pt", "url": "https://example.org", "licence": "MIT"}
+
+
 def test_what_is_declared():
-    asset = {"path": "w.pt", "url": "https://example.org", "licence": "MIT"}
-    info = info_of({**GOOD, "assets": [asset], "camera_frame": "opengl"}, "good", "good-3.6")
+    info = info_of({**GOOD, "assets": [ASSET], "camera_frame": "opengl"}, "good", "good-3.6")
     assert (info.name, info.camera_frame, info.assets[0].path) == ("good-3.6", "opengl", "w.pt")
 
 
@@ -125,8 +127,14 @@ def test_what_is_declared():
         ({"categories": []}, "declares no categories"),
         ({"needs": [1]}, "expected names"),
         ({"gives": ["colour"]}, "gives has .'colour'"),
-        ({"assets": [{"path": "w"}]}, "an asset is {'path': 'w'}, expected path, url and licence"),
-        ({"tolerance": "1"}, "info's tolerance is '1'"),
+        ({"assets": [{"path": "w"}]}, "an asset is {'path': 'w'}, expected a dictionary of path"),
+        ({"assets": [dict(ASSET, path="../../etc/passwd")]}, "expected a file below the weights"),
+        ({"assets": [dict(ASSET, path="/etc/passwd")]}, "asset '/etc/passwd': expected a file bel"),
+        ({"assets": [dict(ASSET, path=".")]}, "asset '.': expected a file below the weights fold"),
+        ({"licence": None}, "info's licence is None, expected a text, such as 'MIT'"),
+        ({"name": None}, "info's name is None, expected a text"),
+        ({"deterministic": "no"}, "info's deterministic is 'no', expected True or False"),
+        ({"tolerance": "1"}, "info's tolerance is '1', expected a number"),
         ({"batch": "many"}, "info's batch is 'many'"),
         ({"batch": 0}, "batch is 0, expected how many observations"),
         ({"camera_frame": "blender"}, "camera_frame is 'blender', expected one of"),

@@ -48,27 +48,71 @@ STARTS = {
         _started(SH, "-c", "sleep 60"),
         "the worker to start took longer than 0.4 s, so the worker was ended$",
     ),
+    "silent after a greeting": (
+        _started(SH, "-c", "echo Welcome to host; sleep 60"),
+        "took longer than 0.4 s, so the worker was ended; it printed last:\n    Welcome to host$",
+    ),
+    "says why to those who listen": (
+        _started(SH, "-c", "echo EnvironmentNameNotFound: sgpa; exit 7"),
+        r"exit status 7\); it printed last:\n    EnvironmentNameNotFound: sgpa",
+    ),
     "noise without end": (
-        workers.spec(command=(SH, "-c", "yes")),
-        "somebody else has written into its pipe, and no answer came",
+        workers.spec(command=(SH, "-c", "yes banner")),
+        "somebody else has written into its pipe, and no answer came; it printed last:\n"
+        "    banner\n    banner",
+    ),
+    "echo": (
+        workers.spec(command=(SH, "-c", "cat")),
+        "the command sends back what it is told: it is no interpreter",
+    ),
+    "no shell": (
+        workers.spec(shell=True),
+        r"exit status 0\), and printed nothing\nis it an interpreter\? shell = true is for",
     ),
     "no interpreter": (_started("cat"), "exit status 1"),
     "no numpy": (
         workers.spec(command=(sys.executable, "-S")),
-        "class planted_methods:Good cannot be loaded there: ModuleNotFoundError: .*numpy",
+        "class planted_methods:Good cannot be loaded there: ModuleNotFoundError: No module named"
+        rf" 'numpy'; the worker needs numpy in {re.escape(sys.executable)} \(of .*\)$",
     ),
     "no module": (
         workers.spec("nowhere:Good"),
         r"class nowhere:Good cannot be loaded there: ModuleNotFoundError: No module named 'nowhere'"
-        r" \(CPython 3",
+        rf" \(CPython 3\S*, {re.escape(sys.executable)}\)",
     ),
     "no class": (
         workers.spec("planted_methods:Godo"),
-        "cannot be loaded there: AttributeError: .*has no attribute 'Godo'",
+        "there: module planted_methods is .*planted_methods.py, and has no Godo$",
+    ),
+    "called as one of Python's": (
+        workers.spec("json:Godo"),
+        "cannot be loaded there: module json is .*json/__init__.py, and has no Godo$",
     ),
     "no info": (
         workers.spec("planted_methods:NoInfo"),
-        "TypeError: planted_methods:NoInfo has no info; a method is a class with a dictionary",
+        "there: planted_methods:NoInfo has no info, no load, no predict; a method is a class with",
+    ),
+    "no predict": (
+        workers.spec("planted_declarations:NoPredict"),
+        "there: planted_declarations:NoPredict has no predict; a method is a class with a",
+    ),
+    "a list for info": (
+        workers.spec("planted_declarations:ListForInfo"),
+        "planted_declarations:ListForInfo has no dictionary info; a method is a class",
+    ),
+    "a long licence": (
+        workers.spec("planted_declarations:LongLicence"),
+        r"there: an answer of 50000\d* bytes of names, texts and places of arrays, at most 4194304",
+    ),
+    "no folder": (workers.spec(path=("/nowhere",)), "path: there is no /nowhere on the other side"),
+    "a file for a folder": (workers.spec(path=(__file__,)), f"path: {__file__} is no folder"),
+    "no folder there": (
+        workers.spec(paths={"/nowhere": workers.HERE}),
+        "paths: there is no /nowhere on the other side",
+    ),
+    "no folder here": (
+        workers.spec(paths={"/": Path("/nowhere")}),
+        "paths: there is no /nowhere here, which is / there",
     ),
     "import raises": (
         workers.spec("planted_import:Good", env={"PLANTED": "raises"}),
@@ -108,16 +152,19 @@ def test_another_version_of_the_protocol(tmp_path):
 
 LOADS = {
     "LoadRaises": r"cannot be loaded: ValueError: w.pt is truncated \(CPython(?s:.*)in load",
-    "LoadDies": r"cannot be loaded: load: the worker died \(signal 9, SIGKILL\)",
-    "LoadSleeps": "cannot be loaded: load took longer than 0.4 s, so the worker was ended",
+    "LoadDies": r"cannot be loaded: load: the worker died \(signal 9, SIGKILL\), and printed"
+    " nothing$",
+    "LoadSleeps": "cannot be loaded: load took longer than 0.4 s, so the worker was ended(?s:.*)"
+    "in load$",
 }
 
 
 @pytest.mark.parametrize(("name", "sentence"), LOADS.items(), ids=list(LOADS))
 def test_what_cannot_be_loaded_is_told(name, sentence):
-    short = {"seconds_to_load": SHORT} if name == "LoadSleeps" else {}
-    asked = workers.spec(f"planted_methods:{name}", **short)
+    asked = workers.spec(f"planted_methods:{name}")
     method = remote_method(asked)
+    if name == "LoadSleeps":  # and is imported in a moment
+        object.__setattr__(asked, "seconds_to_load", SHORT)
     with pytest.raises(MethodError, match=sentence):
         MethodRun(method(), tiny.Tiny(None)).loaded()
     method.remote.close()
@@ -131,7 +178,7 @@ SURVIVED = {
     "Interrupts": "the method raised KeyboardInterrupt",
     "Huge": "the answer breaks the contract: answer 0, hypothesis 0: points take 25769803776 bytes",
     "LongReason": None,
-    "LongMessage": r"the method raised RuntimeError: xxx.*\[",
+    "LongMessage": r"the method raised RuntimeError: xxx.*\[100000000 characters\](?s:.*)in fault",
     "WrongShape": r"breaks the contract: rotation: shape is \(2, 2\), expected \(3, 3\)",
     "Skewed": "breaks the contract: rotation: not orthonormal",
     "NotFinite": "breaks the contract: translation",
@@ -141,13 +188,21 @@ SURVIVED = {
     "Text": "breaks the contract: answer 0 is a str, expected a dictionary such as",
     "HalfMesh": "breaks the contract: hypothesis: a mesh is both vertices and triangles",
     "TwoScores": r"breaks the contract: score: an array of shape \(2,\), expected a number",
-    "TooMany": "breaks the contract: predict: 2 of them, expected one Prediction",
+    "TooMany": "breaks the contract: predict: 2 answers to a batch of 1, expected one for each",
     "Prints": None,
     "Floods": None,
     "WritesEverywhere": None,
     "ReadsInput": None,
     "Daemon": None,
     "LeavesProgram": None,
+    "ManyHypotheses": "the answer breaks the contract: an answer of 40000 arrays, at most 10000",
+    "NoReason": 'answer 0 has no hypothesis and no reason; say why with {"failed": "why"}$',
+    "ClosesOutput": None,
+    "PutsOutputAway": None,
+    "ClosesStreams": None,
+    "ClosesAll": None,
+    "ForgetsNumpy": None,
+    "Patches": None,
 }
 
 
@@ -191,7 +246,8 @@ DIES = {
     "Sleeps": rf"took longer than 0.4 s, so the worker was ended; (?s:.*)in fault(?s:.*){AGAIN}",
     "HoldsTheLock": "predict took longer than 0.4 s(?s:.*)in fault",
     "IgnoresSignals": "predict took longer than 0.4 s(?s:.*)in fault",
-    "ClosesEverything": r"predict: the worker died \(exit status 1\)(?s:.*)Bad file descriptor",
+    "ClosesEverything": r"predict: the worker died \(exit status 1\); it printed last:\n    the"
+    " method has closed file descriptors that it did not open, and with them the line to pytest-c",
     "ForkKeepsPipe": rf"predict: the worker died \(exit status 4\), and printed nothing{AGAIN}",
     "LeavesThread": None,
 }

@@ -72,6 +72,21 @@ def _loaded(method):
     return method
 
 
+def test_what_numpy_makes_of_a_declaration_is_read(remote):
+    info = remote("planted_declarations:DeclaredInNumpy").info
+    assert (info.categories, info.deterministic, info.tolerance) == (("mug",), True, 0.25 / 1024)
+
+
+def test_advice_is_for_plain_values_where_the_method_is_of_those(remote):
+    told = {}
+    for cls, path in (("planted_methods:Good", workers.HERE), ("tiny:Perfect", TESTS)):
+        told[cls] = MethodSubject(remote(cls, path=(str(path),))(), []).say_why
+    assert told == {
+        "planted_methods:Good": 'return {"failed": "why"}',
+        "tiny:Perfect": "return Prediction.failed with the reason",
+    }
+
+
 def test_instances_of_one_worker_are_apart(remote):
     kind = remote("tiny:Inexact", path=(TESTS,))
     first, second = _loaded(kind()), _loaded(kind())

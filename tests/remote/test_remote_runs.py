@@ -130,7 +130,10 @@ def test_what_cannot_be_reached_is_a_usage_error(there):
     result = there("tiny:Perfekt")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(
-        ["ERROR: method 'there': the class tiny:Perfekt cannot be loaded there: Attr*"]
+        [
+            "ERROR: method 'there': the class tiny:Perfekt cannot be loaded there: module tiny is"
+            " */there/tiny.py, and has no Perfekt"
+        ]
     )
 
 

@@ -97,6 +97,13 @@ class MethodSubject:
         self.info: MethodInfo = method.info
 
     @property
+    def say_why(self) -> str:
+        """What to do where there is no answer."""
+        if getattr(self.method, "is_plain", False):  # in another interpreter
+            return 'return {"failed": "why"}'
+        return "return Prediction.failed with the reason"
+
+    @property
     def observations(self) -> list[Observation]:
         """What the method sees of the samples."""
         return [sample.observation for sample in self.samples]

@@ -117,20 +117,20 @@ def _no_evidence(
         except Finding as finding:
             raise Finding(
                 finding.outcome,
-                f"no depth in the mask: {finding}; return Prediction.failed with the reason",
+                f"no depth in the mask: {finding}; {subject.say_why}",
             ) from finding
         if said[-1].hypotheses and not difference(said[-1], before, 0):
             raise Finding(
                 Outcome.VIOLATED,
                 f"without depth in the mask of a {blank.category}, the answer is the previous"
-                " sample's; return Prediction.failed with the reason",
+                f" sample's; {subject.say_why}",
             )
     for again in said[1:]:
         subject.same(
             again,
             said[0],
             f"without depth in the mask of a {blank.category}, the answer depends on the sample"
-            " before; return Prediction.failed with the reason",
+            f" before; {subject.say_why}",
         )
 
 
