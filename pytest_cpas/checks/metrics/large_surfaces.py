@@ -295,7 +295,7 @@ _BODIES = ("ellipsoid", "rough ball", "constant width")
     weight=0.1,
     corners=lambda: (
         {"kind": kind, "count": count, "seed": seed}
-        for kind in _BODIES for count in (150, 600) for seed in range(3)
+        for kind in _BODIES for count in (150, 1000, 3000) for seed in range(2)
     ),
 )  # fmt: skip
 def of_nearly_constant_width(subject: Subject, kind: str, count: int, seed: int) -> None:
