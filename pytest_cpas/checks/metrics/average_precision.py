@@ -138,7 +138,7 @@ SCALES: dict[str, Any] = {
       "threshold, no rounding and no sign has a say",
       given={"ranking": rankings(), "scale": st.sampled_from(sorted(SCALES))}, weight=0.5,
       corners=lambda: (
-          {"ranking": [[5 / 16, 4 / 16, 3 / 16, 2 / 16, 1 / 16], [True, False, True, False, True],
+          {"ranking": [[5 / 16, 4 / 16, 3 / 16, 2 / 16, 1 / 16], [True, True, False, True, False],
                        4], "scale": scale}
           for scale in SCALES
       ))  # fmt: skip
