@@ -45,6 +45,9 @@ _KEPT, _LINES = 2**16, 20
 #: Bytes that others may print before the worker answers, or between its answers.
 _MOST_NOISE = 2**20
 
+#: Reads of the error stream, one after the other, before anything else is looked at.
+_MOST_READS = 64
+
 #: Seconds for a worker to end by itself, and between two looks at whether it has.
 _GRACE, _GRACE_AT_START, _LOOK = 3.0, 0.2, 0.5
 
@@ -52,6 +55,9 @@ _PIPE_SIZE = 2**20
 _CHUNK = 2**20
 
 _alive: weakref.WeakSet[WorkerProcess] = weakref.WeakSet()
+
+#: Commands that did not end when they were killed; nobody waits for them.
+_left: list[subprocess.Popen[bytes]] = []
 
 
 class WorkerError(ToldError):
@@ -162,7 +168,10 @@ class WorkerProcess:
             self._read_errors(0.02)
         with contextlib.suppress(OSError):
             os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        try:
+            process.wait(_GRACE)
+        except subprocess.TimeoutExpired:  # it may not be killed, or the system holds it
+            _left.append(process)
         self._read_errors(0)
         self.show()
         if process.stderr is not None:
@@ -254,7 +263,9 @@ class WorkerProcess:
         """Take in what the error stream has, waiting for so long; all that is told of it counts."""
         poller = select.poll()
         poller.register(self._err, select.POLLIN)
-        while poller.poll(1000 * seconds):
+        for _ in range(_MOST_READS):  # somebody may write without end
+            if not poller.poll(1000 * seconds):
+                return
             try:
                 content = os.read(self._err, _KEPT)
             except BlockingIOError:

@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import sys
+import time
 from pathlib import Path
 
 import many_samples
@@ -13,7 +14,7 @@ import tiny
 import workers
 
 from pytest_cpas.evaluation import Limit, MethodError, MethodRun, Row, SampleError, Watchdog
-from pytest_cpas.remote import RaisedThereError, WorkerError, remote_method
+from pytest_cpas.remote import RaisedThereError, WorkerError, process, remote_method
 from pytest_cpas.remote import worker as worker_file
 from pytest_cpas.types import DeclarationError
 
@@ -60,6 +61,10 @@ STARTS = {
         workers.spec(command=(SH, "-c", "yes banner")),
         "somebody else has written into its pipe, and no answer came; it printed last:\n"
         "    banner\n    banner",
+    ),
+    "errors without end": (
+        _started(SH, "-c", "yes banner >&2"),
+        "took longer than 0.4 s, so the worker was ended; it printed last:\n    (banner|ba?n?n?e?)",
     ),
     "echo": (
         workers.spec(command=(SH, "-c", "cat")),
@@ -134,6 +139,24 @@ def test_what_cannot_be_started_is_told(asked, sentence):
     with pytest.raises((WorkerError, RaisedThereError, DeclarationError), match=sentence):
         remote_method(asked)
     assert workers.left_of(asked) == []
+
+
+def test_a_command_that_may_not_be_ended_is_not_waited_for(monkeypatch):
+    """Such as sudo's, of another user."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(process, "_GRACE", 0.2)
+    monkeypatch.setattr(process.os, "killpg", refuse)
+    asked = _started(SH, "-c", "sleep 4 >&2")
+    start = time.monotonic()
+    with pytest.raises(WorkerError, match="so the worker was ended"):
+        remote_method(asked)
+    assert time.monotonic() - start < 3
+    [left] = process._left
+    process._left.clear()
+    assert left.wait() == 0
 
 
 def test_another_version_of_the_protocol(tmp_path):
