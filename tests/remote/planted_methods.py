@@ -173,11 +173,18 @@ class PutsOutputAway(Good):
 
 
 class ClosesStreams(Good):
-    """And opens a file, which has the number of one of them if nobody else has it."""
-
     def fault(self):
         os.close(1)
         os.close(2)
+
+
+class LooksAtStreams(ClosesStreams):
+    """Whose numbers are those of no other file afterwards."""
+
+    def answer(self, index):
+        os.fstat(1)
+        os.fstat(2)
+        return super().answer(index)
 
 
 class Patches(Good):

@@ -273,6 +273,7 @@ DIES = {
     " method has closed file descriptors that it did not open, and with them the line to pytest-c",
     "ForkKeepsPipe": rf"predict: the worker died \(exit status 4\), and printed nothing{AGAIN}",
     "LeavesThread": None,
+    "LooksAtStreams": None,
 }
 
 #: Those that end by a limit, which the others would only be delayed by.
