@@ -21,6 +21,7 @@ from pytest_cpas.report.terminal import Terminal
 from pytest_cpas.session.method_session import CpasSession, cpas_session
 from pytest_cpas.session.options import RunOptions
 from pytest_cpas.session.resolution import make_method
+from pytest_cpas.session.seen_items import seen_items
 from pytest_cpas.session.suite_session import SuiteSession, report_outcome, usage_errors
 from pytest_cpas.traces.files import DEFAULT_MOST, LARGEST_MOST
 from pytest_cpas.traces.maps import NameMap, read_map
@@ -116,7 +117,10 @@ class ParitySession(SuiteSession):
             lacking = sum(each.lacking for each in collected.traced)
             run, reference = traced.run, traced.reference
             notes = reference.notes(run.identity)
-            collected.verdict = judge_parity(found, reference.told, lacking, notes)
+            item = f"{self.node}::test_parity[{run.method}-{run.dataset}"
+            failed = seen_items(self.config).failed([self.node])
+            broken = sum(nodeid.startswith((f"{item}-", f"{item}]")) for nodeid in failed)
+            collected.verdict = judge_parity(found, reference.told, lacking, notes, broken)
             told = parity_document(collected.verdict, found, reference.told)
             of_run = self.cpas.collected[run]
             of_run.parity = told
@@ -219,6 +223,14 @@ def _reference(name: str | None, run: MethodRun, options: RunOptions) -> Referen
         revision = Revision.find(type(run.unloaded), name.removeprefix(_REVISION))
         return RevisionReference(name, revision, options.weights, options.device)
     if options.parity is not None:
-        return RecordedReference(options.parity, run.method, run.dataset)
+        reference = RecordedReference(options.parity, run.method, run.dataset)
+        if options.trace is not None:
+            recorded = options.trace / run.method / run.dataset
+            if recorded.resolve() == reference.folder.resolve():
+                raise ValueError(
+                    f"--cpas-trace {options.trace} would overwrite the trace in {reference.folder},"
+                    " which --cpas-parity compares with; record into another folder"
+                )
+        return reference
     make = make_method(name, options.weights, options.root)
     return MethodReference(name, make, options.weights, options.device)

@@ -7,12 +7,13 @@ two right codes may, and else they PART. Numbers that are no real ones must be e
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
+from pytest_cpas.reading.text import terminal_line
 from pytest_cpas.traces.explaining import Explanation, explain
 from pytest_cpas.traces.recording import Trace, answer_of
 from pytest_cpas.traces.values import Array, Value
@@ -109,6 +110,8 @@ def compare(here: Trace, reference: Trace, replayed: Collection[str] = ()) -> Co
         differences.append(found)
     if not left_open and (reference.reason is not None or here.reason is not None):
         differences.append(_outcome(here, reference))
+    elif not left_open:
+        differences += _lacking_answers(here, reference)
     first = next((i for i, each in enumerate(differences) if each.word == "PARTS"), None)
     explanation, pair = Explanation(), None
     if first is not None and first < len(pairs):
@@ -130,7 +133,11 @@ def compare(here: Trace, reference: Trace, replayed: Collection[str] = ()) -> Co
 
 def difference(own: Value, theirs: Value) -> Difference:
     """How a value differs from the reference's."""
-    told: dict[str, Any] = {"name": own.told, "kind": theirs.kind, "stage": own.stage}
+    told: dict[str, Any] = {
+        "name": own.told,
+        "kind": theirs.kind,
+        "stage": terminal_line(own.stage),
+    }
     if own.digest == theirs.digest:
         return Difference(**told, word="EXACT")
     if own.shape != theirs.shape:
@@ -140,8 +147,12 @@ def difference(own: Value, theirs: Value) -> Difference:
     a, b = own.thinned(stride).kept, theirs.thinned(stride).kept
     if "U" in (a.dtype.kind, b.dtype.kind):
         return Difference(**told, word="PARTS", relative=math.inf, problem="another text")
+    same = a == b  # of integers before they are floats, which have 53 bits
+    if stride > 1 and same.all() and a.dtype == b.dtype and not theirs.is_real:
+        problem = "another integer among those that were not kept"
+        return Difference(**told, word="PARTS", relative=math.inf, problem=problem)
     a, b = a.astype(float), b.astype(float)
-    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    same |= np.isnan(a) & np.isnan(b)
     if same.all() and stride == 1:  # float32 and float64, say
         return Difference(**told, word="EXACT")
     with np.errstate(invalid="ignore"):
@@ -159,6 +170,7 @@ def difference(own: Value, theirs: Value) -> Difference:
     without = 0.0 if constant else _share(float(np.linalg.norm(apart)), spread)
     allowed = allowed_of(theirs)
     noisy = relative <= allowed and without <= WITHOUT_MEAN * allowed
+    noisy = noisy and (theirs.is_real or bool(same.all()))
     return Difference(
         **told,
         word="FLOAT NOISE" if noisy and _norms_near(own, theirs, allowed) else "PARTS",
@@ -219,6 +231,29 @@ def _outcome(here: Trace, reference: Trace) -> Difference:
         relative=0.0 if same else math.inf,
         problem="" if same else f"{said[0]}, the reference has {said[1]}",
     )
+
+
+def _lacking_answers(here: Trace, reference: Trace) -> Iterator[Difference]:
+    """Parts of the reference's answer that are none of ours, and hypotheses that it has not."""
+    ours, theirs = (
+        {value.name for value in each.values if value.kind == "answer"}
+        for each in (here, reference)
+    )
+    further = {name for name in ours if name.split(".")[1].isdigit()}
+    sides = (
+        (theirs - ours, "the reference alone has it"),
+        (further - theirs, "the reference has none"),
+    )
+    for names, problem in sides:
+        for name in sorted(names):
+            yield Difference(
+                name=terminal_line(name),
+                word="PARTS",
+                kind="answer",
+                stage="",
+                relative=math.inf,
+                problem=problem,
+            )
 
 
 def _apart(here: Trace, reference: Trace) -> tuple[float | None, float | None]:

@@ -55,11 +55,13 @@ def explain(own: Value, theirs: Value, before: Sequence[tuple[Value, Value]] = (
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         count = int(np.count_nonzero(~np.isfinite(a)))
         return Explanation(near=[f"{count} of its {a.size} numbers are not finite"])
+    if fits(a, b):  # and so would everything that hardly changes it
+        return Explanation(near=["it is too small to be told from float noise by what is tried"])
     earlier = _earlier(before, own.shape)
     for alike in ((_rearranged,), (of_others, _rescaled, _changed), (_per_channel,)):
-        fits = [*dict.fromkeys(words for ask in alike for words in ask(a, b, earlier))]
-        if fits:
-            return Explanation(fits=fits)
+        found = [*dict.fromkeys(words for ask in alike for words in ask(a, b, earlier))]
+        if found:
+            return Explanation(fits=found)
     if rounded := _rounded(own.kept, theirs.kept):
         return Explanation(fits=rounded)
     near = [*_where(a, b), *_steps(a, b), *_moved(a, b), *_small(a, b, kinds)]

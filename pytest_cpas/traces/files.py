@@ -3,7 +3,8 @@
 The first line is about the trace; each other line is about one value, in their order, and names its
 array in the ``.npz``; values that are the same share one. Where there is no ``call`` it is the
 first, without ``stride`` the array is whole; nothing is compared from an ``open`` value on. The
-file of lines is written last: where it is, the sample is whole.
+first line counts the others, and an array that is whole is that of its ``digest``, so that a torn
+file, or that of another sample, is none. The file of lines is written last.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from pytest_cpas.reading.paths import matching
 from pytest_cpas.reading.schemas import check_schema
 from pytest_cpas.reading.structured import json_value
 from pytest_cpas.traces.recording import MOST_VALUES, Trace, answer_of
-from pytest_cpas.traces.values import KINDS, Value
-from pytest_cpas.types import ContractError, DataError, message_of
+from pytest_cpas.traces.values import KINDS, Value, digest_of
+from pytest_cpas.types import ContractError, DataError, message_of, shown
 
 __all__ = ["DEFAULT_MOST", "LARGEST_MOST", "Header", "TracedSample", "read_sample", "write_sample"]
 
@@ -50,11 +51,12 @@ _HEADER: Mapping[str, Any] = {
         "format": {"const": FORMAT},
         **{name: {"type": "string"} for name in ("method", "dataset", "sample", "category")},
         "seed": {"type": "integer"},
+        "values": {"type": "integer", "minimum": 0},
         "most": {"type": "integer", "minimum": 0},
         "reason": {"type": ["string", "null"]},
         **dict.fromkeys(("identity", "provenance", "spread_of"), _TEXTS),
     },
-    "required": ["format", "method", "dataset", "sample", "category", "seed", "reason"],
+    "required": ["format", "method", "dataset", "sample", "category", "seed", "values", "reason"],
 }
 _VALUE: Mapping[str, Any] = {
     "type": "object",
@@ -110,7 +112,8 @@ def write_sample(folder: Path, header: Header, trace: Trace) -> int:
     """Write the files of a sample; the bytes that they have. What is over ``most`` is thinned, the
     largest values first. Raises OSError."""
     values = fitting(trace.values, header.most)
-    lines: list[dict[str, Any]] = [{"format": FORMAT, **vars(header), "reason": trace.reason}]
+    head = {**vars(header), "values": len(values), "reason": trace.reason}
+    lines: list[dict[str, Any]] = [{"format": FORMAT, **head}]
     arrays: dict[str, Any] = {}
     known: dict[tuple[str, int], str] = {}
     for value in values:
@@ -158,18 +161,18 @@ def fitting(values: Sequence[Value], most: int) -> list[Value]:
         left -= size
     else:
         return list(values)
-    return [
-        value.thinned(value.stride * _stride(value.kept.nbytes, cap, value.kept.size))
-        for value in values
-    ]
+    return [value.thinned(value.stride * _stride(value, cap)) for value in values]
 
 
-def _stride(size: int, cap: float, count: int) -> int:
+def _stride(value: Value, cap: float) -> int:
+    size, count = value.kept.nbytes, value.kept.size
     if size <= cap or count <= _FEWEST:
         return 1
-    # not a factor of a usual width, or one channel alone would be kept
     stride = max(1, min(-(-size // max(int(cap), 1)), count // _FEWEST))
-    return stride + 1 if stride > 1 and stride % 2 == 0 else stride
+    # no factor in common with an axis, or one channel alone would be kept
+    while stride > 1 and any(math.gcd(stride, length) > 1 for length in value.shape if length > 1):
+        stride += 1
+    return stride
 
 
 def read_sample(path: Path) -> TracedSample:
@@ -180,6 +183,8 @@ def read_sample(path: Path) -> TracedSample:
         raise DataError(f"{path}: {len(lines)} lines, expected one to {MOST_VALUES + 1}")
     told = [_line(f"{path}, line {n}", line, n > 1) for n, line in enumerate(lines, start=1)]
     head, *parts = told
+    if head["values"] != len(parts):
+        raise DataError(f"{path}: {len(parts)} values, expected {head['values']}; it is torn")
     arrays = read_npz(path.with_suffix(".npz"))
     values = [_value(f"{path}, line {n}", part, arrays) for n, part in enumerate(parts, start=2)]
     if len({value.key for value in values}) < len(values):
@@ -190,6 +195,8 @@ def read_sample(path: Path) -> TracedSample:
         answer_of(trace)
     except (ContractError, TypeError, ValueError) as error:
         raise DataError(f"{path}: its answer is none: {message_of(error)}") from error
+    if trace.reason is None and not any(value.kind == "answer" for value in values):
+        raise DataError(f"{path}: it has no answer, and no reason why there is none")
     return TracedSample(header=Header(**fields), trace=trace)
 
 
@@ -234,6 +241,8 @@ def _value(where: str, told: Mapping[str, Any], arrays: Mapping[str, Any]) -> Va
     expected = shape if stride == 1 else (-(-size // stride),)
     if kept.shape != expected:
         raise DataError(f"{where}: {kept.shape} in the .npz, expected {expected}")
+    if stride == 1 and digest_of(kept) != told["digest"]:
+        raise DataError(f"{where}: the array of {shown(told['name'])} is another one in the .npz")
     return Value(
         **{name: told[name] for name in ("name", "kind", "digest", "norm")},
         call=told.get("call", 1),

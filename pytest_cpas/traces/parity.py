@@ -172,14 +172,26 @@ def first_parting(samples: Sequence[SampleParity]) -> Parting | None:
 
 
 def judge_parity(
-    samples: Sequence[SampleParity], reference: str, lacking: int = 0, notes: Sequence[str] = ()
+    samples: Sequence[SampleParity],
+    reference: str,
+    lacking: int = 0,
+    notes: Sequence[str] = (),
+    broken: int = 0,
 ) -> Verdict:
     """The verdict on all samples; its first line says where the two part.
 
     ``reference``: what was compared with, in words; ``lacking``: samples of which it has no trace;
-    ``notes``: what is told besides.
+    ``notes``: what is told besides; ``broken``: items that could not compare their samples.
     """
     verdict = _judged(samples, reference, lacking)
+    if broken:
+        told = f"{broken} items could not compare their samples, and say why"
+        if not samples:
+            verdict = Verdict(ParityWord.NOT_COMPARED, ALL, told)
+        elif verdict.failed:
+            verdict = dataclasses.replace(verdict, details=f"{verdict.details}\n  {told}")
+        else:
+            verdict = Verdict(ParityWord.NOT_COMPARED, ALL, f"{told}; of the others: {verdict}")
     return dataclasses.replace(verdict, details="\n  ".join([verdict.details, *notes]))
 
 
@@ -268,8 +280,8 @@ def _effect(found: Parting) -> list[str]:
     both = sum(each.degrees is not None for each in found.parted)
     if found.degrees is not None and found.millimetres is not None:
         lines.append(
-            f"answers: up to {found.degrees:.2g} deg and {found.millimetres:.2g} mm apart"
-            f" ({both} of {len(found.parted)} samples that part have both)"
+            f"poses of the answers: up to {found.degrees:.2g} deg and {found.millimetres:.2g} mm"
+            f" apart ({both} of {len(found.parted)} samples that part have both)"
         )
     listed = ", ".join(f"{column} {count}" for column, count in found.columns.most_common(4))
     lines.append(

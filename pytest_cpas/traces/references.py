@@ -55,10 +55,10 @@ class RecordedReference(Reference):
 
         Raises :class:`pytest_cpas.types.DataError` if there is none, or several.
         """
-        self._folder = trace_folder(folder, method, dataset)
-        self._samples = samples_in(self._folder)
+        self.folder = trace_folder(folder, method, dataset)
+        self._samples = samples_in(self.folder)
         if not self._samples:
-            raise DataError(f"{self._folder}: no trace; --cpas-trace DIR records one")
+            raise DataError(f"{self.folder}: no trace; --cpas-trace DIR records one")
         header = read_header(next(iter(self._samples.values())))
         self.header = header
         self.told = f"the trace of {header.method}"

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_cpas.reading.text import terminal_line
 from pytest_cpas.types import AnswerError
 
 Array = NDArray[Any]
@@ -101,8 +102,9 @@ class Value:
 
     @property
     def told(self) -> str:
-        """Name and call, in words."""
-        return self.name if self.call == 1 else f"{self.name}, call {self.call}"
+        """Name and call, in words; a name is text from outside."""
+        name = terminal_line(self.name)
+        return name if self.call == 1 else f"{name}, call {self.call}"
 
 
 _NAMES = tuple(Value.__dataclass_fields__)

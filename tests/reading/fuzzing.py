@@ -719,7 +719,7 @@ def of(module: str, function: str, *arguments: object) -> Callable[[Path], objec
 TRACE_HEAD = {
     "format": "pytest-cpas trace 1", "method": "m", "dataset": "d", "sample": "s/0",
     "category": "mug", "seed": 0, "most": 1000, "identity": {"data": "x"}, "provenance": {},
-    "spread_of": {"batch": "0"}, "reason": None,
+    "spread_of": {"batch": "0"}, "values": 5, "reason": None,
 }  # fmt: skip
 TRACE_VALUES = {
     "0000": ("observation.depth", "observation", [4, 5], 1),
@@ -742,11 +742,15 @@ def trace_arrays() -> dict[str, Any]:
 
 
 def trace_lines() -> list[bytes]:
+    from pytest_cpas.traces.values import digest_of
+
+    arrays = trace_arrays()
     lines = [TRACE_HEAD]
     for array, (name, kind, shape, stride) in TRACE_VALUES.items():
         lines.append(
             {"name": name, "call": 1, "kind": kind, "stage": "network", "shape": shape,
-             "stride": stride, "digest": "00", "norm": 1.0, "spread": 0.5, "array": array}
+             "stride": stride, "digest": digest_of(arrays[array]), "norm": 1.0, "spread": 0.5,
+             "array": array}
         )  # fmt: skip
     return ["".join(json.dumps(line) + "\n" for line in lines).encode()]
 

@@ -146,7 +146,7 @@ def test_what_explains_it_and_what_it_does(recorded_trace):
     told.fnmatch_lines(
         [
             "*explained by: scaled by 1.5",
-            "*answers: up to 0 deg and 0 mm apart (4 of 4 samples that part have both)",
+            "*poses of the answers: up to 0 deg and 0 mm apart (4 of 4 samples that part*)",
             "*outcomes: none is another at any threshold",
             "*PARTS*features: relative L2 5.0e-01*",
         ]
@@ -227,11 +227,18 @@ def test_workers_write_and_the_controller_judges(recorded_trace, pytester):
     assert len(samples_in(pytester.path / "other" / "perfect" / "tiny")) == 4
 
 
+def test_reference_is_not_overwritten(cpas):
+    assert cpas("Perfect", "-k", "test_parity", "--cpas-trace=kept").ret == 0
+    result = cpas("Perfect", "-k", "test_parity", "--cpas-trace=kept", "--cpas-parity=kept")
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(["*--cpas-trace * would overwrite the trace in *; record into*"])
+
+
 def test_method_that_raises_is_told(recorded_trace):
     result = recorded_trace("Raises", "--cpas-parity=out", "--cpas-limit=1")
     result.assert_outcomes(failed=2, skipped=1, deselected=25)
     assert "while it was traced, RuntimeError" in result.stdout.str()
-    assert "NOT COMPARED: no sample" in verdict(result)
+    assert "NOT COMPARED: 1 items could not compare their samples" in verdict(result)
 
 
 def test_other_weights_are_told(recorded_trace, pytester):

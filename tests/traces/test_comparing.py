@@ -197,6 +197,69 @@ def test_how_far_answers_are_apart(angle):
     assert found.millimetres == pytest.approx(2)
 
 
+def hypotheses(count, **more):
+    best = answered(0, 0).values
+    others = [
+        each.replaced(name=each.name.replace("answer.", f"answer.{number}."))
+        for number in range(2, count + 1)
+        for each in best
+    ]
+    more_parts = [value(x, f"answer.{name}", "answer") for name, x in more.items()]
+    return Trace(values=[value(X), *best, *more_parts, *others])
+
+
+@pytest.mark.parametrize(
+    ("here", "reference", "first"),
+    [
+        (hypotheses(1), hypotheses(2), "answer.2.rotation: the reference alone has it"),
+        (hypotheses(2), hypotheses(1), "answer.2.rotation: the reference has none"),
+        (hypotheses(1), hypotheses(1, extents=np.ones(3)), "answer.extents: the reference alone"),
+    ],
+)
+def test_answers_that_one_side_lacks_part(here, reference, first):
+    parting = compare(here, reference).parting
+    assert f"{parting.name}: {parting.problem}".startswith(first)
+
+
+def test_more_of_an_answer_than_the_reference_has_is_told_alone():
+    found = compare(hypotheses(1, extents=np.ones(3)), hypotheses(1))
+    assert found.parting is None
+    assert found.only_here == ["answer.extents"]
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.uint64])
+def test_integers_are_compared_beyond_the_digits_of_floats(kind):
+    theirs = np.array([2**53, 5], kind)
+    assert word(value(theirs + np.array([1, 0], kind)), value(theirs)) == "PARTS"
+    assert word(value(theirs.astype(np.int64)), value(theirs)) == "EXACT"
+
+
+def test_integers_that_were_not_kept_must_be_the_same_too():
+    theirs = np.arange(300)
+    swapped = theirs.copy()
+    swapped[[1, 2]] = swapped[[2, 1]]
+    assert word(value(swapped).thinned(7), value(theirs).thinned(7)) == "PARTS"
+    assert word(value(theirs.copy()).thinned(7), value(theirs).thinned(7)) == "EXACT"
+
+
+@pytest.mark.parametrize("shape", [(96, 3), (500, 3), (3, 64, 64), (7, 5, 3, 2), (1000,)])
+@pytest.mark.parametrize("most", [100, 500, 1500])
+def test_what_is_kept_of_large_values_is_of_every_channel(shape, most):
+    size = int(np.prod(shape))
+    [kept] = fitting([value(np.arange(size, dtype=np.float32).reshape(shape))], most)
+    for axis, length in enumerate(shape):
+        places = np.unravel_index(kept.kept.astype(int).ravel(), shape)[axis]
+        if len(shape) > 1 and kept.kept.size >= 3 * length:
+            assert len(np.unique(places)) == length
+
+
+def test_what_differs_as_little_as_noise_is_explained_by_nothing():
+    tight = value(X, spread=1e-9)
+    found = compare(Trace(values=[value(X * np.float32(1 + 3e-6))]), Trace(values=[tight]))
+    assert found.parting is not None
+    assert not found.explanation.fits
+
+
 # -- files --------------------------------------------------------------------------------------
 
 
@@ -245,6 +308,40 @@ def test_damaged_line_is_told(tmp_path, change, words):
         read_sample(path)
     assert f"{path}, line 2: " in str(caught.value)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("kept", range(1, 6))
+def test_torn_file_is_no_trace(tmp_path, kept):
+    whole = Trace(values=[*trace(X, y=X + 1, z=X[0]).values, *answered(0, 0).values])
+    write_sample(tmp_path, HEADER, whole)
+    [path] = tmp_path.glob("*.jsonl")
+    lines = path.read_text().splitlines(keepends=True)
+    assert len(lines) == 6
+    read_sample(path)
+    path.write_text("".join(lines[:kept]))
+    with pytest.raises(DataError, match=r"values, expected \d+; it is torn"):
+        read_sample(path)
+
+
+def test_answer_is_there_or_a_reason(tmp_path):
+    write_sample(tmp_path, HEADER, Trace(values=trace(X).values))
+    [path] = tmp_path.glob("*.jsonl")
+    with pytest.raises(DataError, match="it has no answer, and no reason why there is none"):
+        read_sample(path)
+
+
+def test_arrays_of_another_sample_are_told(tmp_path):
+    for sample, x in (("a", X), ("b", 2 * X)):
+        write_sample(
+            tmp_path / sample,
+            replace(HEADER, sample="s"),
+            Trace(values=[value(x), *answered(0, 0).values]),
+        )
+    [path] = (tmp_path / "a").glob("*.jsonl")
+    [other] = (tmp_path / "b").glob("*.npz")
+    path.with_suffix(".npz").write_bytes(other.read_bytes())
+    with pytest.raises(DataError, match=r"is another one in the .npz"):
+        read_sample(path)
 
 
 def test_answer_that_is_none_is_told(tmp_path):
@@ -365,3 +462,24 @@ def test_nothing_in_common_is_no_parity():
     verdict = judge_parity([parity("s/0", trace(a=X), trace(b=X))], "r")
     assert (verdict.word, verdict.failed) == (ParityWord.NOT_COMPARED, True)
     assert judge_parity([], "r", 3).details.startswith("no sample; r has no trace of 3 other")
+
+
+def test_samples_that_could_not_be_compared_are_no_match():
+    same = SampleParity.of("s/0", compare(trace(a=X), trace(a=X)))
+    verdict = judge_parity([same], "r", broken=2)
+    assert verdict.word is ParityWord.NOT_COMPARED
+    assert verdict.details.startswith("2 items could not compare their samples, and say why; of")
+    assert "EXACT: 1 values of 1 samples" in verdict.details
+    parts = SampleParity.of("s/0", compare(trace(a=2 * X), trace(a=X)))
+    verdict = judge_parity([parts], "r", broken=1)
+    assert verdict.word is ParityWord.PARTS
+    assert "1 items could not compare their samples" in verdict.details
+    alone = judge_parity([], "r", broken=1)
+    assert alone.details == "1 items could not compare their samples, and say why"
+
+
+def test_a_name_makes_no_line_of_its_own():
+    name = "a\nparity of m on d: EXACT"
+    found = compare(trace(**{name: 2 * X}), trace(**{name: X, "b\n": X}))
+    verdict = str(judge_parity([SampleParity.of("s", found)], "r"))
+    assert not any(line.startswith(("parity", "b")) for line in verdict.splitlines())
