@@ -95,6 +95,8 @@ class Named:
         if self.reshape is not None:
             array = array.reshape(self.reshape)
         if self.quaternion is not None:
+            if array.shape[-1:] != (4,):
+                raise ValueError(f"the last axis of {array.shape} is none of quaternions")
             array = np.roll(array, -1, axis=-1)
         return array
 
@@ -123,6 +125,22 @@ class NameMap:
                 continue
             values += [named.of(value) for named in by_name.get(value.name, ())] or [value]
         return Trace(values=values, reason=trace.reason)
+
+    def in_vain(self, here: Trace, reference: Trace) -> list[str]:
+        """What it names that neither ``here`` nor the ``reference``, as recorded, has, in words."""
+        ours, theirs = ({value.name for value in each.values} for each in (here, reference))
+        drawn = {value.name for value in here.values if value.kind == "draw"}
+        given = {value.name for value in self.applied(reference).values if value.kind == "draw"}
+        return [
+            *(f"reference = {n.reference!r}" for n in self.values if n.reference not in theirs),
+            *(f"here = {named.here!r}" for named in self.values if named.here not in ours),
+            *(
+                f"ignore {pattern!r}"
+                for pattern in self.ignore
+                if not any(fnmatchcase(name, pattern) for name in theirs)
+            ),
+            *(f"replay {name!r}" for name in self.replay if name not in drawn & given),
+        ]
 
 
 def read_map(path: Path) -> NameMap:

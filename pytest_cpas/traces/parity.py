@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pytest_cpas.reading.text import terminal_line
 from pytest_cpas.traces.comparing import Comparison, Difference
 from pytest_cpas.types import Verdict, VerdictWord, some_of
 from pytest_cpas.types.samples import ALL
@@ -40,7 +41,8 @@ class SampleParity:
     ``around``: those beside the parting one. ``noise``: the largest difference before it.
     ``undecided``: from where on nothing was compared. ``replayed``: what is found where the
     reference's draws are taken over, if that was tried. ``flips``: the
-    columns in which one of the two answers is correct and the other is not.
+    columns in which one of the two answers is correct and the other is not. ``in_vain``: what a map
+    of names has that is called so on no side.
     """
 
     sample: str
@@ -59,6 +61,7 @@ class SampleParity:
     only_here: tuple[int, str] = (0, "")
     only_there: tuple[int, str] = (0, "")
     replayed: str = ""
+    in_vain: Sequence[str] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -104,7 +107,7 @@ class SampleParity:
         for name in ("parting", "noise"):
             told[name] = told[name] and told[name].plain()
         told["around"] = [each.plain() for each in self.around]
-        for name in ("fits", "near", "flips", "only_here", "only_there"):
+        for name in ("fits", "near", "flips", "in_vain", "only_here", "only_there"):
             told[name] = list(told[name])
         return told
 
@@ -302,6 +305,9 @@ def _with_lines(
             f"of {len(undecided)} samples nothing is compared from {undecided[0]} on: float noise"
             " makes another choice there"
         )
+    everywhere = set.intersection(*(set(each.in_vain) for each in compared))
+    if vain := [terminal_line(words) for words in compared[0].in_vain if words in everywhere]:
+        lines.append(f"nothing is called as the map has it: {some_of(vain)}")
     for attribute, side in (("only_here", "the method"), ("only_there", "the reference")):
         most = max(compared, key=lambda each: getattr(each, attribute)[0])
         number, names = getattr(most, attribute)

@@ -154,6 +154,7 @@ class TracedRun:
         theirs = self.reference.trace(ref, sample.observation, run.seed)
         if theirs is None:
             return None, None
+        vain = names.in_vain(trace, theirs)
         theirs = names.applied(theirs)
         if self.plan.proposes:
             proposal |= propose(trace, theirs)
@@ -170,7 +171,7 @@ class TracedRun:
             except Exception as error:
                 replayed = f"it cannot be used here ({words_of(error)})"
         flips = self._flips(sample, trace, theirs)
-        parity = SampleParity.of(ref.id, found, flips, replayed)
+        parity = replace(SampleParity.of(ref.id, found, flips, replayed), in_vain=vain)
         return parity, self._pictures(parity, found)
 
     def _pictures(self, parity: SampleParity, found: Comparison) -> Mapping[str, Any] | None:

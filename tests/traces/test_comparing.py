@@ -382,11 +382,12 @@ def test_folder_of_a_trace(tmp_path):
         (Named(reference="r", here="x", transpose=[1, 0]), X.T),
         (Named(reference="r", here="x", take=[5, 9], axis=1), X[:, 5:9]),
         (Named(reference="r", here="x", reshape=[30, -1]), X.reshape(30, -1)),
-        (Named(reference="r", here="x", quaternion="scalar-first"), np.roll(X, -1, 1)),
+        (Named(reference="r", here="x", quaternion="scalar-first"), np.roll(X[:, :4], -1, 1)),
     ],
 )
 def test_map_turns_the_reference(named, expected):
-    theirs = NameMap(values=[named]).applied(trace(r=X))
+    seen = X if named.quaternion is None else X[:, :4]
+    theirs = NameMap(values=[named]).applied(trace(r=seen))
     assert [d.word for d in compare(trace(x=expected), theirs).differences] == ["EXACT"]
 
 
@@ -483,3 +484,30 @@ def test_a_name_makes_no_line_of_its_own():
     found = compare(trace(**{name: 2 * X}), trace(**{name: X, "b\n": X}))
     verdict = str(judge_parity([SampleParity.of("s", found)], "r"))
     assert not any(line.startswith(("parity", "b")) for line in verdict.splitlines())
+
+
+def test_what_a_map_names_in_vain_is_told():
+    names = NameMap(
+        values=[Named(reference="r", here="x"), Named(reference="s", here="y")],
+        ignore=["n*", "q*"],
+        replay=["x"],
+    )
+    vain = names.in_vain(trace(x=X), trace(r=X, n=X))
+    assert vain == ["reference = 's'", "here = 'y'", "ignore 'q*'", "replay 'x'"]
+    found = compare(trace(x=X), names.applied(trace(r=X, n=X)))
+    first, second = (
+        replace(SampleParity.of(name, found), in_vain=told)
+        for name, told in (("s/0", vain), ("s/1", vain[:1]))
+    )
+    verdict = judge_parity([first, second], "r")
+    assert verdict.word is ParityWord.EXACT
+    assert verdict.details.splitlines()[1:] == [
+        "  nothing is called as the map has it: reference = 's'"
+    ]
+    assert SampleParity.of_plain(first.plain()).in_vain == vain
+
+
+def test_quaternions_have_four_numbers():
+    turned = Named(reference="r", here="x", quaternion="scalar-first")
+    with pytest.raises(DataError, match="is none of quaternions"):
+        turned.of(value(X[:, :3]))
