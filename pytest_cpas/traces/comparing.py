@@ -169,7 +169,8 @@ def difference(own: Value, theirs: Value) -> Difference:
     constant = spread <= np.finfo(np.float32).eps * norm
     without = 0.0 if constant else _share(float(np.linalg.norm(apart)), spread)
     allowed = allowed_of(theirs)
-    noisy = relative <= allowed and without <= WITHOUT_MEAN * allowed
+    # how large the noise is beside what is left without the mean was not measured
+    noisy = relative <= allowed and without <= WITHOUT_MEAN * max(allowed, NOISE * theirs.is_real)
     noisy = noisy and (theirs.is_real or bool(same.all()))
     return Difference(
         **told,

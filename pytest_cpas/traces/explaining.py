@@ -8,13 +8,23 @@ which part of the value differs, and what only makes the difference smaller.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
 
-from pytest_cpas.traces.fitting import FITS, PER_PARAMETER, Earlier, Real, along, channels, fits
+from pytest_cpas.traces.fitting import (
+    FITS,
+    PER_PARAMETER,
+    Earlier,
+    Real,
+    along,
+    channels,
+    explaining,
+    fits,
+)
 from pytest_cpas.traces.steps import dropped, functions, of_others
 from pytest_cpas.traces.values import Array, Value
 
@@ -57,9 +67,15 @@ def explain(own: Value, theirs: Value, before: Sequence[tuple[Value, Value]] = (
         return Explanation(near=[f"{count} of its {a.size} numbers are not finite"])
     if fits(a, b):  # and so would everything that hardly changes it
         return Explanation(near=["it is too small to be told from float noise by what is tried"])
+    if a.size > 1 and np.ptp(a) == 0 < np.ptp(b):
+        return Explanation(
+            near=[f"it is {a.flat[0]:.6g} everywhere, the reference is not constant"]
+        )
     earlier = _earlier(before, own.shape)
+    size = float(np.linalg.norm(a - b)) if a.shape == b.shape else math.inf
     for alike in ((_rearranged,), (of_others, _rescaled, _changed), (_per_channel,)):
-        found = [*dict.fromkeys(words for ask in alike for words in ask(a, b, earlier))]
+        with explaining(size):
+            found = [*dict.fromkeys(words for ask in alike for words in ask(a, b, earlier))]
         if found:
             return Explanation(fits=found)
     if rounded := _rounded(own.kept, theirs.kept):
@@ -214,6 +230,8 @@ def _per_channel(a: Real, b: Real, _: Earlier) -> Iterator[str]:
         if length < 2 or b.size < 2 * PER_PARAMETER * length:
             continue
         own, theirs = channels(a, axis), channels(b, axis)
+        if (own != theirs).any(1).sum() == 1:
+            continue  # of one alone it is said where it is
         orders = itertools.permutations(range(length)) if length == 3 else [tuple(range(length))]
         for order in orders:
             moved = _affine(own, theirs[list(order)])
@@ -242,17 +260,16 @@ def _rounded(own: Array, theirs: Array) -> list[str]:
     """Numbers that fewer bits can say."""
     if own.shape != theirs.shape or "".join((own.dtype.kind, theirs.dtype.kind)) != "ff":
         return []
-    words = {"half precision (float16)": _is_half, "bfloat16": _is_bfloat}
-    found = []
-    for name, is_of in words.items():
-        step = 2.0**-11 if is_of is _is_half else 2.0**-8
-        apart = np.linalg.norm(own.astype(float) - theirs) / np.linalg.norm(theirs.astype(float))
+    apart = np.linalg.norm(own.astype(float) - theirs) / np.linalg.norm(theirs.astype(float))
+    # numbers of bfloat16 are ones of half precision as well, unless they are very large or small
+    words = {"bfloat16": (_is_bfloat, 2.0**-8), "half precision (float16)": (_is_half, 2.0**-11)}
+    for name, (is_of, step) in words.items():
         if is_of(own) and not is_of(theirs) and apart <= 20 * step:
-            found.append(
+            return [
                 f"all its numbers are ones of {name}, the reference's are not: it was computed or"
                 " kept in that"
-            )
-    return found
+            ]
+    return []
 
 
 def _is_half(array: Array) -> bool:

@@ -18,7 +18,10 @@ def of_others(a: Real, b: Real, earlier: Earlier) -> Iterator[str]:
     if a.shape == b.shape and b.min() < 0 <= a.min() and fits(a, np.maximum(b, 0)):
         yield "negative numbers are 0: a ReLU that the reference does not have here"
     if a.shape == b.shape and a.min() < 0 <= b.min() and fits(np.maximum(a, 0), b):
-        yield "the reference is this with its negative numbers as 0: a ReLU is missing"
+        yield (
+            "the reference is this with its negative numbers as 0: a ReLU is missing, or another"
+            " function stands there"
+        )
     for name, x in earlier:
         for words, x_as in _broadcasts(name, x, b.shape):
             if a.shape == b.shape and fits(b - a, x_as):

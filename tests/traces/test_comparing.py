@@ -511,3 +511,10 @@ def test_quaternions_have_four_numbers():
     turned = Named(reference="r", here="x", quaternion="scalar-first")
     with pytest.raises(DataError, match="is none of quaternions"):
         turned.of(value(X[:, :3]))
+
+
+def test_noise_of_a_nearly_constant_value_is_noise_whatever_was_measured():
+    flat = (1 + 0.01 * X.astype(float)) / 96
+    noisy = flat * (1 + 2.5e-7 * X[::-1])
+    assert word(value(noisy), value(flat, spread=1e-8)) == "FLOAT NOISE"
+    assert word(value(flat * (1 + 2e-6 * X[::-1])), value(flat, spread=1e-8)) == "PARTS"

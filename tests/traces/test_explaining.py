@@ -232,3 +232,37 @@ def test_what_is_not_finite_and_what_is_thinned():
     assert found(own, FEATURES).near == ["3 of its 2000 numbers are not finite"]
     thin = explain(value(-FEATURES).thinned(7), value(FEATURES).thinned(7))
     assert thin.near == ["only a part of its numbers was kept, so nothing was tried"]
+
+
+PLACE = np.array([0.1, -0.2, 0.8])
+ROWS = RANDOM.standard_normal((1, 8, 32, 32)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("own", "theirs"),
+    [
+        pytest.param(PLACE + np.array([0, 0, 3e-5]), PLACE, id="a small offset of one axis"),
+        pytest.param(POINTS + np.array([0, 0, 3e-5]), POINTS + 1, id="beside a large offset"),
+        pytest.param(FEATURES * np.float32(1 + 1e-6), FEATURES, id="float noise"),
+        pytest.param(np.zeros((3, 5, 3)), RANDOM.random((3, 5, 3)), id="constant"),
+        pytest.param(ROWS * (1 + 0.001 * (np.arange(32) == 7)), ROWS, id="one column alone"),
+        pytest.param(np.where(np.arange(32) == 5, 0, ROWS), ROWS, id="one column of zeros"),
+    ],
+)
+def test_what_only_nearly_explains_is_not_named(own, theirs):
+    fits = found(own, theirs).fits
+    assert not [words for words in fits if "scaled" in words or "order" in words], fits
+
+
+def test_a_constant_is_told():
+    assert found(np.full(9, 0.5), POINTS[:3].ravel()).near == [
+        "it is 0.5 everywhere, the reference is not constant"
+    ]
+
+
+def test_bfloat16_is_not_half_precision():
+    bits = FEATURES.view(np.uint32) & np.uint32(0xFFFF0000)
+    [words] = found(bits.view(np.float32), FEATURES).fits
+    assert "ones of bfloat16" in words
+    [words] = found(FEATURES.astype(np.float16).astype(np.float32), FEATURES).fits
+    assert "ones of half precision" in words
