@@ -195,8 +195,6 @@ def read_sample(path: Path) -> TracedSample:
         answer_of(trace)
     except (ContractError, TypeError, ValueError) as error:
         raise DataError(f"{path}: its answer is none: {message_of(error)}") from error
-    if trace.reason is None and not any(value.kind == "answer" for value in values):
-        raise DataError(f"{path}: it has no answer, and no reason why there is none")
     return TracedSample(header=Header(**fields), trace=trace)
 
 

@@ -323,13 +323,6 @@ def test_torn_file_is_no_trace(tmp_path, kept):
         read_sample(path)
 
 
-def test_answer_is_there_or_a_reason(tmp_path):
-    write_sample(tmp_path, HEADER, Trace(values=trace(X).values))
-    [path] = tmp_path.glob("*.jsonl")
-    with pytest.raises(DataError, match="it has no answer, and no reason why there is none"):
-        read_sample(path)
-
-
 def test_arrays_of_another_sample_are_told(tmp_path):
     for sample, x in (("a", X), ("b", 2 * X)):
         write_sample(
