@@ -86,14 +86,17 @@ class Batches:
             samples = dict(self._samples(batch))
             if self._reader is not None:
                 self._ahead = {r.id: self._reader.submit(self._read, r) for r in after}
-            whole = [sample for sample in samples.values() if isinstance(sample, Sample)]
-            answers = [self.asked(whole, seed) for seed in self._seeds]
+            # by what was asked for: what was read may have another name
+            whole = {name: each for name, each in samples.items() if isinstance(each, Sample)}
+            answers = [self.asked([*whole.values()], seed) for seed in self._seeds]
             self._predicted |= {
-                name: sample for name, sample in samples.items() if isinstance(sample, DataError)
+                name: error for name, error in samples.items() if isinstance(error, DataError)
             }
             self._predicted |= {
-                sample.ref.id: Predicted(sample, of_it)
-                for sample, of_it in zip(whole, zip(*answers, strict=True), strict=True)
+                name: Predicted(sample, of_it)
+                for (name, sample), of_it in zip(
+                    whole.items(), zip(*answers, strict=True), strict=True
+                )
             }
         found = self._predicted.pop(ref.id)
         if isinstance(found, DataError):

@@ -238,3 +238,11 @@ def test_a_method_has_the_batch_that_it_declares():
 
     assert MethodRun(Several(), tiny.Tiny(None)).batch == 8
     assert MethodRun(Several(), tiny.Tiny(None), batch=2).batch == 2
+
+
+def test_samples_are_those_that_were_asked_for():
+    class Misnamed(tiny.Tiny):
+        def load(self, ref):
+            return replace(super().load(ref), ref=replace(ref, id="scene_0/0000"))
+
+    assert outcomes(planned(Counts(), dataset=Misnamed(None))) == ALONE
